@@ -1,0 +1,2 @@
+"""tasklift."""
+__version__ = "0.1.0"

@@ -34,7 +34,9 @@ def write_atomically(path: str | os.PathLike[str], data: str | bytes) -> None:
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, target)
     except OSError as error:
-        raise TaskliftError(f"{target}: cannot be written ({error.strerror}); choose another place") from error
+        raise TaskliftError(
+            f"{target}: cannot be written ({error.strerror}); choose another place"
+        ) from error
     finally:
         if temporary is not None and os.path.exists(temporary):
             os.unlink(temporary)
@@ -47,7 +49,9 @@ def read_text(path: str | os.PathLike[str]) -> str:
     except OSError as error:
         raise TaskliftError(f"{path}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise TaskliftError(f"{path}: expected UTF-8 text, found other bytes at offset {error.start}") from error
+        raise TaskliftError(
+            f"{path}: expected UTF-8 text, found other bytes at offset {error.start}"
+        ) from error
 
 
 def _refuse_constant(name: str) -> Any:
@@ -88,8 +92,8 @@ def read_document(path: str | os.PathLike[str], format: str, version: int) -> di
     found = document.get("version")
     if not isinstance(found, int) or isinstance(found, bool) or not 1 <= found <= version:
         raise TaskliftError(
-            f"{path}: version {found!r} of {format} is not readable here (this release reads 1 to {version}); "
-            "install a newer tasklift"
+            f"{path}: version {found!r} of {format} is not readable here (this release reads 1 to "
+            f"{version}); install a newer tasklift"
         )
     return document
 
@@ -97,3 +101,41 @@ def read_document(path: str | os.PathLike[str], format: str, version: int) -> di
 def canonical_json(value: Any) -> str:
     """One spelling per value: sorted keys, no spaces, shortest round-trip floats. What content ids hash."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
+def check_fields(value: Any, where: str, fields: dict[str, Any]) -> dict[str, Any]:
+    """Return ``value`` if it is a JSON object with exactly these fields, each of a type it may have.
+
+    Parameters
+    ----------
+    value
+        What was read.
+    where
+        Named in errors.
+    fields
+        For each field the type, or a tuple of types, that it may have; None among them allows null. A truth
+        value is not taken for a number. A field whose name ends in ``?`` may be missing.
+    """
+    if not isinstance(value, dict):
+        raise TaskliftError(f"{where}: expected an object with fields, found {type(value).__name__}")
+    names = {name.removesuffix("?") for name in fields}
+    unknown = sorted(set(value) - names)
+    if unknown:
+        raise TaskliftError(
+            f"{where}: unknown field {unknown[0]!r}; the fields are {', '.join(sorted(names))}"
+        )
+    for field, kinds in fields.items():
+        name, kinds = field.removesuffix("?"), kinds if isinstance(kinds, tuple) else (kinds,)
+        if name not in value:
+            if field.endswith("?"):
+                continue
+            raise TaskliftError(f"{where}: the field {name!r} is missing")
+        found = value[name]
+        if found is None or (isinstance(found, bool) and bool not in kinds):
+            fits = found is None and None in kinds
+        else:
+            fits = isinstance(found, tuple(kind for kind in kinds if kind is not None))
+        if not fits:
+            wanted = " or ".join("null" if k is None else k.__name__ for k in kinds)
+            raise TaskliftError(f"{where}: expected {wanted} in the field {name!r}, found {repr(found)[:60]}")
+    return value

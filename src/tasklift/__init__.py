@@ -1,2 +1,30 @@
-"""tasklift."""
+"""tasklift: learn the safe, simple version of a task first, extend it, and know whether it paid."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "errors": ("TaskliftError",),
+    "task": ("Signal", "Task", "Variable"),
+    "policy": ("Policy", "invert", "scale", "set_weight", "swap"),
+    "learn": ("Curve", "Outcomes", "Reinforcement", "Trials", "reinforce", "sweep"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = ["__version__", *sorted(_HOME_OF)]
+
+
+def __getattr__(name: str) -> Any:
+    # names are found on first use, so that `import tasklift` and `tasklift --help` load nothing they do not
+    # need
+    if name in _HOME_OF:
+        return getattr(import_module(f"tasklift.{_HOME_OF[name]}"), name)
+    raise AttributeError(f"module 'tasklift' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME_OF})

@@ -11,7 +11,7 @@ Shapes: ``S`` inputs, ``A`` outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -21,166 +21,12 @@ from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, check_fields
+from tasklift.variable import Condition, Signal, Value, Variable, condition_json, plain_number
 
-Value = int | float | str | bool
-Condition = Mapping[str, Any]
+__all__ = ["LARGEST_TABLE", "Condition", "Signal", "Task", "Value", "Variable"]
 
 LARGEST_TABLE = 2**28
 """The most entries that a table on request may have (2 GiB of float64)."""
-
-
-def _plain(value: Any, where: str) -> Value:
-    """Return ``value`` as a plain Python scalar, or refuse it."""
-    plain = value.item() if isinstance(value, np.generic) else value
-    if not isinstance(plain, int | float | str):
-        raise TaskliftError(f"{where}: expected a number, a string or a truth value, found {value!r}")
-    if isinstance(plain, float) and not math.isfinite(plain):
-        raise TaskliftError(f"{where}: expected finite numbers, found {plain!r}")
-    return plain
-
-
-def _number(value: Any, where: str) -> float:
-    plain = _plain(value, where)
-    if isinstance(plain, str | bool):
-        raise TaskliftError(f"{where}: expected a number, found {value!r}")
-    return float(plain)
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One input or output: a name and its ordered values.
-
-    Parameters
-    ----------
-    name
-        Unique within a task.
-    values
-        Distinct values (numbers, strings, truth values) in table order.
-    labels
-        Optional names of the values, one each; a condition may use them in place of the values.
-    meaning
-        A line for readers.
-    """
-
-    name: str
-    values: tuple[Value, ...]
-    labels: tuple[str, ...] | None = None
-    meaning: str = ""
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise TaskliftError(f"variable: expected a name, found {self.name!r}")
-        where = f"variable {self.name!r}"
-        if isinstance(self.values, str) or not isinstance(self.values, Iterable):
-            raise TaskliftError(f"{where}: expected a list of values, found {self.values!r}")
-        object.__setattr__(self, "values", tuple(_plain(v, where) for v in self.values))
-        if not self.values:
-            raise TaskliftError(f"{where}: has no values; give at least one")
-        if len(self._positions) < len(self.values):
-            double = next(v for i, v in enumerate(self.values) if self._positions[v] != i)
-            raise TaskliftError(f"{where}: the value {double!r} is there twice; values must differ")
-        if self.labels is not None:
-            object.__setattr__(self, "labels", tuple(self.labels))
-            self._check_labels(where)
-        if not isinstance(self.meaning, str):
-            raise TaskliftError(f"{where}: expected a line of text as meaning, found {self.meaning!r}")
-
-    def _check_labels(self, where: str) -> None:
-        labels = self.labels or ()
-        if len(labels) != len(self.values) or not all(isinstance(label, str) for label in labels):
-            raise TaskliftError(
-                f"{where}: expected {len(self.values)} labels, one text for each value, found {labels!r}"
-            )
-        for i, label in enumerate(labels):
-            if labels.index(label) != i or self._positions.get(label, i) != i:
-                raise TaskliftError(f"{where}: the label {label!r} stands for two values; labels must differ")
-
-    @cached_property
-    def _positions(self) -> dict[Value, int]:
-        return {value: i for i, value in reversed(list(enumerate(self.values)))}
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def position(self, value: Any, where: str = "") -> int:
-        """Return the index of ``value`` (or of the value with that label); errors name ``where``."""
-        try:
-            found = self._positions.get(value)
-        except TypeError:
-            found = None
-        if found is None and self.labels is not None and isinstance(value, str) and value in self.labels:
-            found = self.labels.index(value)
-        if found is None:
-            shown = ", ".join(map(repr, self.values[:12])) + (", …" if len(self) > 12 else "")
-            prefix = f"{where}: " if where else ""
-            raise TaskliftError(f"{prefix}variable {self.name!r} has no value {value!r}; it has {shown}")
-        return found
-
-    def positions(self, wanted: Any, where: str) -> tuple[int, ...]:
-        """Return the indices of one value or of a sequence of distinct values, in table order."""
-        many = wanted.tolist() if isinstance(wanted, np.ndarray) else wanted
-        if isinstance(many, str) or not isinstance(many, Iterable):
-            return (self.position(many, where),)
-        found = [self.position(value, where) for value in many]
-        if not found:
-            raise TaskliftError(
-                f"{where}: no value of {self.name!r} is allowed, so nothing can meet the condition"
-            )
-        if len(set(found)) < len(found):
-            raise TaskliftError(f"{where}: a value of {self.name!r} is given twice in {list(many)!r}")
-        return tuple(sorted(found))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the variable as JSON data."""
-        return {
-            "name": self.name,
-            "values": list(self.values),
-            "labels": None if self.labels is None else list(self.labels),
-            "meaning": self.meaning,
-        }
-
-    @classmethod
-    def from_json(cls, document: Any, where: str) -> Variable:
-        """Read what :meth:`to_json` gives; errors name ``where``."""
-        data = check_fields(
-            document, where, {"name": str, "values": list, "labels": (list, None), "meaning": str}
-        )
-        return cls(data["name"], tuple(data["values"]), data["labels"], data["meaning"])
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A rule of reinforcement (Table III): ``value`` is added wherever all conditions hold.
-
-    Parameters
-    ----------
-    value
-        The signal; several that hold together add up.
-    when
-        For each named variable, input or output, the value or the values at which the rule holds. Empty:
-        always.
-    name
-        For reports.
-    """
-
-    value: float
-    when: Condition = field(default_factory=dict)
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "value", _number(self.value, f"signal {self.name!r}"))
-        if not isinstance(self.when, Mapping):
-            raise TaskliftError(
-                f"signal {self.name!r}: expected conditions {{variable: values}}, found {self.when!r}"
-            )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the signal as JSON data."""
-        return {"value": self.value, "when": _condition_json(self.when), "name": self.name}
-
-
-def _condition_json(when: Condition) -> dict[str, Any]:
-    return {name: list(v) if isinstance(v, tuple) else v for name, v in when.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +93,7 @@ class Task:
         object.__setattr__(self, "signals", signals)
         object.__setattr__(self, "impossible", impossible)
         for number in ("impossible_signal", "time_reward"):
-            object.__setattr__(self, number, _number(getattr(self, number), f"{where}, {number}"))
+            object.__setattr__(self, number, plain_number(getattr(self, number), f"{where}, {number}"))
         object.__setattr__(self, "fixed", dict(self.fixed))
         object.__setattr__(self, "removed", tuple(self.removed))
         self._check_parent(where)
@@ -358,17 +204,18 @@ class Task:
                 tidy[variable.name] = tuple(variable.values[i] for i in positions)
         return tidy
 
-    def _need_room(self, entries: int, what: str) -> None:
+    def need_room(self, entries: int, what: str) -> None:
+        """Refuse to build a table of this task with more than :data:`LARGEST_TABLE` entries."""
         if entries > LARGEST_TABLE:
             raise TaskliftError(
                 f"task {self.name!r}: {what} would have {entries:,} entries, more than the "
-                f"{LARGEST_TABLE:,} that are built in memory; simplify the task, or learn it with tasklift.approx"
+                f"{LARGEST_TABLE:,} that are built in memory; simplify it, or learn it with tasklift.approx"
             )
 
     def where(self, when: Condition) -> NDArray[np.bool_]:
         """Return the mask, bool (S, A), of the inputs and outputs at which a condition holds."""
         rows, columns = self._sides(when, "where")
-        self._need_room(self.shape[0] * self.shape[1], "the table")
+        self.need_room(self.shape[0] * self.shape[1], "the table")
         return np.outer(rows, columns)
 
     def input_mask(self, when: Condition) -> NDArray[np.bool_]:
@@ -382,7 +229,7 @@ class Task:
 
     def _sides(self, when: Condition, where: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         tidy = self._tidy(when, f"task {self.name!r}, {where}")
-        self._need_room(max(self.shape), "the mask")
+        self.need_room(max(self.shape), "the mask")
         sides = []
         for variables in (self.inputs, self.outputs):
             mask = np.ones(1, dtype=np.bool_)
@@ -397,7 +244,7 @@ class Task:
 
     def rule_table(self) -> NDArray[np.float64]:
         """Return the summed local signals, float64 (S, A), without those for what is not possible."""
-        self._need_room(self.shape[0] * self.shape[1], "the table of signals")
+        self.need_room(self.shape[0] * self.shape[1], "the table of signals")
         table = np.zeros(self.shape)
         for signal in self.signals:
             rows, columns = self._sides(signal.when, "signals")
@@ -406,7 +253,7 @@ class Task:
 
     def impossible_table(self) -> NDArray[np.bool_]:
         """Return where an output is not possible, bool (S, A)."""
-        self._need_room(self.shape[0] * self.shape[1], "the table")
+        self.need_room(self.shape[0] * self.shape[1], "the table")
         table = np.zeros(self.shape, dtype=np.bool_)
         for condition in self.impossible:
             rows, columns = self._sides(condition, "impossible")
@@ -580,7 +427,7 @@ class Task:
 
     def input_rows(self, ancestor: Task) -> NDArray[np.int64]:
         """Return this task's row for each input of an ancestor, int64 (S_ancestor,); −1 where outside."""
-        ancestor._need_room(ancestor.shape[0], "the map of inputs")
+        ancestor.need_room(ancestor.shape[0], "the map of inputs")
         fates = self.fates(ancestor)
         ours = {v.name for v in self.inputs}
         rows = np.zeros(1, dtype=np.int64)
@@ -623,7 +470,7 @@ class Task:
             "inputs": [v.to_json() for v in self.inputs],
             "outputs": [v.to_json() for v in self.outputs],
             "signals": [s.to_json() for s in self.signals],
-            "impossible": [_condition_json(c) for c in self.impossible],
+            "impossible": [condition_json(c) for c in self.impossible],
             "impossible_signal": self.impossible_signal,
             "time_reward": self.time_reward,
             "parent": None if self.parent is None else self.parent.to_json(),

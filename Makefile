@@ -1,0 +1,45 @@
+# One command each. Every target sets up what it needs in a local virtual environment (.venv).
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+ARGS   ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow bench docs format clean
+
+help:  ## say what each target does
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
+
+$(VENV)/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "tasklift needs Python 3.11 or newer: make PYTHON=python3.12 ..."; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(STAMP): pyproject.toml constraints.txt $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: $(STAMP)  ## set up, reproduce the paper's experiment, leave reproduction/report.html
+	$(BIN)/tasklift reproduce --out reproduction $(ARGS)
+
+test: $(STAMP)  ## everything CI runs: lint, types, import contracts, tests
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest -m "not slow" $(ARGS)
+
+test-slow: $(STAMP)  ## the tests that are slow by nature
+	$(BIN)/pytest -m slow $(ARGS)
+
+bench: $(STAMP)  ## measure speed; prints ratios within one run
+	$(BIN)/python benchmarks/simulator.py $(ARGS)
+
+docs: $(STAMP)  ## build the documentation into site/
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	$(BIN)/mkdocs build --strict
+
+format: $(STAMP)  ## sort imports and mend what ruff can mend
+	$(BIN)/ruff check --fix .
+
+clean:  ## remove the environment and what was built
+	rm -rf $(VENV) site build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,800 @@
+"""The multi-robot search, one step and one trial at a time, compiled with Numba.
+
+``tests/oracle.py`` is the same world in plain Python and the better first read; the tests hold this file to it
+step by step. The phases of a step stand in the order of rule 1 of ``docs/reading.md``.
+
+Contract of everything here: **no bounds checks, no validation**. :mod:`tasklift.building.simulator` validates,
+allocates and seeds; these functions fill what they are given. Shapes: ``N`` nodes, ``E`` edges, ``H = 2 E``
+half-edges, ``R`` robots, ``S0`` inputs of the full task, ``S`` and ``A`` inputs and outputs of the task that is
+learned, ``W`` 64-bit words of an edge set. Robots, nodes, teams and outputs are rows of record arrays: one array
+per thing keeps the call between phases cheap and a robot's fields in one cache line.
+
+Randomness is counter-based: every draw is a hash of (seed, map, stage, trial) and (robot, purpose, draw number).
+Nothing depends on threads, batches or what other robots drew.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from tasklift import rules as scalar
+
+# --- layout -----------------------------------------------------------------------------------------------------
+
+
+def _record(**fields: str) -> np.dtype:
+    return np.dtype([(name, kind) for name, kind in fields.items()], align=True)
+
+
+NODE = _record(x="f8", y="f8", feature="i8", first="i8", last="i8", near_first="i8", near_last="i8")
+HALF = _record(to="i8", edge="i8", cost_mm="i8", coverage="f8")
+MEMBER = _record(speed_mm="i8", armed="i8", kind="i8")
+OUTPUT = _record(mv="i8", wpn="i8", ca="f8")
+ROBOT = _record(
+    alive="i8", node="i8", half="i8", next="i8", came="i8", progress="i8",  # half, next, came: -1 for none
+    due="i8", since="i8", row="i8", pair_row="i8", out="i8", force="i8", held="i8", crossing="i8",
+    dl="i8", alert="i8", team="i8", decisions="i8", choices="i8",
+)  # fmt: skip
+SITE = _record(
+    hostile="i8", resolved="i8", unsearched="i8", armed_crossing="i8",
+    stopped="i8", crossed="i8", failed="i8", searched="i8", picking="i8", picks="i8",  # the tick at which it last was
+)  # fmt: skip
+TEAM = _record(lead="i8", armed="i8", slowest="i8", size="i8", due="i8", learned="i8")
+SLOT = _record(tick="i8", place="i8", progress="i8", team="i8")
+COUNT = _record(
+    step="i8", alive="i8", teams="i8", edges_left="i8", rooms_left="i8", hostiles_left="i8", losses="i8",
+    messages="i8", used="i8", tick="i8", trial="i8", robot_steps="i8", searching="i8", outside="i8", key="u8",
+)  # fmt: skip
+
+
+class World(NamedTuple):
+    """What never changes in a mission: the building, the team, what lies within earshot."""
+
+    nodes: Any  # NODE (N,)
+    halves: Any  # HALF (H,): each node's half-edges from `first` to `last`, by ascending neighbour
+    near: Any  # int64: features within the alert range of each node, by descending id, `near_first` to `near_last`
+    search: Any  # int64 (N,): steps to search each room, 0 elsewhere
+    candidates: Any  # int64: nodes where hostiles may be hidden
+    members: Any  # MEMBER (R,)
+
+
+class Rules(NamedTuple):
+    """The Reading and the mission's numbers, as scalars."""
+
+    start: int
+    rooms: int
+    hostiles: int
+    placed: int  # 1: the hostiles stand on `candidates` themselves
+    relocate: int
+    weapons_needed: int
+    limit: int
+    patience: int
+    by_team: int
+    split: int  # 0 robots, 1 pairs, 2 team
+    turn_back: int
+    unvisited_first: int
+    sharpness: float
+    engage_crossing: int
+    suspicion_goal: int
+    share_map: int  # 0 none, 1 team, 2 radio
+    drill: int
+    alerts: int  # 0 in a mission without hostiles: nothing to suspect
+
+
+class Learner(NamedTuple):
+    """The task's tables and how its weights change."""
+
+    rows: Any  # int64 (S0,): the task's row of each input of the full task, -1: outside
+    outputs: Any  # OUTPUT (A,)
+    signal: Any  # float64 (S, A): local signals
+    learn: int
+    sweep_all: int  # 1: one output per trial, credited in every input at the end
+    greedy: float  # probability of taking the heaviest output: 0 exploration, 1 exploitation
+    floor: float
+    once: int  # 1: a local signal reaches its pair once per trial
+    time_signal: int  # 0 none, 1 inverted, 2 baseline
+    time_reward: float
+    loss_signal: float
+
+
+class Lane(NamedTuple):
+    """One simulation under way. Everything here is written to."""
+
+    robots: Any  # ROBOT (R,)
+    roster: Any  # int64 (R,): the living, ascending, first `count.alive` entries
+    sites: Any  # SITE (N,)
+    picks: Any  # int64 (H,): per node, the half-edges chosen in this step, in order
+    open: Any  # uint8 (largest degree,): which of a node's half-edges a robot may take
+    share: Any  # float64 (largest degree,): p_j over them, 0 where not open
+    visited: Any  # uint8 (E,)
+    maps: Any  # uint64 (R, W): the edges in each robot's map
+    pooled: Any  # uint64 (R, W): scratch, by team
+    teams: Any  # TEAM (R,)
+    slots: Any  # SLOT (power of two, at least 2 R,): hash of places to teams
+    used: Any  # int64 (S, A): the trial in which each pair was last used
+    pairs: Any  # int64 (S * A,): the pairs used in this trial, in order of first use
+    shuffle: Any  # int64: scratch for placing hostiles
+    count: Any  # COUNT (1,)
+    weights: Any  # float64 (S, A)
+
+
+# --- randomness -------------------------------------------------------------------------------------------------
+
+OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW = 0, 1, 2, 3  # the purpose of a draw
+
+_draw = njit(forceinline=True)(scalar.draw)
+_heaviest = njit(forceinline=True)(scalar.heaviest)
+_reinforced = njit(forceinline=True)(scalar.reinforce)
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+
+
+@njit(forceinline=True)
+def mix(z):
+    """Return the finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014) of a uint64."""
+    z = (z ^ (z >> np.uint64(30))) * _FIRST
+    z = (z ^ (z >> np.uint64(27))) * _SECOND
+    return z ^ (z >> np.uint64(31))
+
+
+@njit(forceinline=True)
+def absorb(key, value):
+    """Return the uint64 ``key`` with one more 64-bit ``value`` hashed into it."""
+    return mix(key ^ mix(np.uint64(value) + _GOLDEN))
+
+
+@njit(forceinline=True)
+def uniform(key, robot, purpose, number):
+    """Return draw ``number`` of ``robot`` for ``purpose``: a float64 in [0, 1)."""
+    address = (np.uint64(robot) << np.uint64(40)) | (np.uint64(purpose) << np.uint64(32)) | np.uint64(number)
+    return np.float64(absorb(key, address) >> np.uint64(11)) * 1.1102230246251565e-16  # 2 ** -53
+
+
+@njit(cache=True)
+def child_key(key, value):
+    """Return :func:`absorb` of an int64, callable from Python."""
+    return absorb(key, value)
+
+
+@njit(cache=True)
+def keys(seed, map_id, stage):
+    """Return the uint64 keys of a stage's trials and of the hostiles' places."""
+    place_key = absorb(absorb(np.uint64(0), seed), map_id)
+    return absorb(place_key, stage), place_key
+
+
+# --- a step, phase by phase -------------------------------------------------------------------------------------
+
+
+@njit(forceinline=True)
+def _goal(rules, robot):
+    """Return the node that a robot heads for, -1 without a goal."""
+    if robot.dl == 2 or (robot.dl == 1 and rules.suspicion_goal == 1):
+        return robot.alert
+    return np.int64(-1)
+
+
+@njit(forceinline=True)
+def _moves(learner, robot):
+    return robot.held == 0 and learner.outputs[robot.force].mv == 1
+
+
+@njit(forceinline=True)
+def sense(world, rules, lane):
+    """Find every robot's input (Table I) and who is due for a decision (rule 6)."""
+    robots, sites, teams = lane.robots, lane.sites, lane.teams
+    for i in range(lane.count[0].alive):
+        robot = robots[lane.roster[i]]
+        armed = teams[robot.team].armed
+        weapons = 0 if armed == 0 else (1 if armed < rules.weapons_needed else 2)
+        feature = 1
+        if robot.half < 0 and sites[robot.node].resolved == 0:
+            feature = world.nodes[robot.node].feature
+        goal_known = 1 if _goal(rules, robot) >= 0 else 0
+        row = ((robot.dl * 2 + goal_known) * 3 + weapons) * 5 + feature - 1
+        if row != robot.row or robot.due == 1 or robot.since >= rules.patience:
+            robot.due = 1
+            teams[robot.team].due = 1
+        robot.row = row
+
+
+@njit(forceinline=True)
+def credit(learner, lane, row, out):
+    """Book the use of (row, out) and apply its local signal at once (rules 17 and 19)."""
+    count, used = lane.count[0], lane.used
+    fresh = used[row, out] != count.trial
+    if fresh:
+        used[row, out] = count.trial
+        lane.pairs[count.used] = row * used.shape[1] + out
+        count.used += 1
+    if learner.learn == 1 and learner.sweep_all == 0 and (fresh or learner.once == 0):
+        signal = learner.signal[row, out]
+        if signal != 0.0:
+            lane.weights[row, out] = _reinforced(lane.weights[row, out], signal, learner.floor)
+
+
+@njit(forceinline=True)
+def decide(rules, learner, lane, fixed):
+    """Draw an output for all who are due, in robot order; a whole team at once under ``by_team`` (rule 5)."""
+    robots, teams, key = lane.robots, lane.teams, lane.count[0].key
+    for i in range(lane.count[0].alive):
+        r = lane.roster[i]
+        robot = robots[r]
+        lead = robots[teams[robot.team].lead]
+        if rules.by_team == 1:
+            if teams[robot.team].due == 0:
+                continue
+        elif robot.due == 0:
+            continue
+        if rules.by_team == 1 and teams[robot.team].lead != r:
+            robot.out = lead.out
+            robot.pair_row = lead.pair_row
+        else:
+            row = learner.rows[robot.row]
+            if row < 0:
+                lane.count[0].outside = robot.row + 1
+                return
+            if fixed >= 0:
+                out = fixed
+            else:
+                u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
+                if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
+                    out = _heaviest(lane.weights[row], u)
+                else:
+                    out = _draw(lane.weights[row], u)
+            robot.decisions += 1
+            robot.out = out
+            robot.pair_row = row
+            credit(learner, lane, row, out)
+        robot.due = 0
+        robot.since = 0
+        robot.held = 0
+        if robot.half < 0:
+            robot.force = robot.out
+
+
+@njit(forceinline=True)
+def alert(world, rules, learner, lane):
+    """Spread the suspicion of robots that stop at an unresolved feature (rule 11)."""
+    robots, sites, count = lane.robots, lane.sites, lane.count[0]
+    if rules.alerts == 0:
+        return
+    someone = False
+    for i in range(count.alive):
+        robot = robots[lane.roster[i]]
+        if robot.half < 0 and world.nodes[robot.node].feature > 1 and sites[robot.node].resolved == 0:
+            if not _moves(learner, robot):
+                sites[robot.node].stopped = count.tick
+                someone = True
+    if not someone:
+        return
+    for i in range(count.alive):
+        robot = robots[lane.roster[i]]
+        if robot.dl != 0:
+            continue
+        node = world.nodes[robot.node]
+        for k in range(node.near_first, node.near_last):
+            if sites[world.near[k]].stopped == count.tick:
+                robot.dl = 1
+                robot.alert = world.near[k]
+                count.messages += 1
+                break
+
+
+@njit(forceinline=True)
+def _knows(lane, r, edge):
+    return (lane.maps[r, edge >> 6] >> np.uint64(edge & 63)) & np.uint64(1) == np.uint64(1)
+
+
+@njit(forceinline=True)
+def open_edges(world, rules, lane, r):
+    """Mark in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
+    robot, is_open = lane.robots[r], lane.open
+    node = world.nodes[robot.node]
+    degree = node.last - node.first
+    goal = _goal(rules, robot)
+    back = degree == 1 or (rules.turn_back == 1 and goal >= 0 and goal != robot.node)
+    n_open = 0
+    n_new = 0
+    for j in range(degree):
+        edge = world.halves[node.first + j].edge
+        is_open[j] = 0
+        if back or edge != robot.came:
+            n_open += 1
+            is_open[j] = 1
+            if rules.unvisited_first == 1 and goal < 0 and not _knows(lane, r, edge):
+                n_new += 1
+                is_open[j] = 2
+    if n_new == 0:
+        return n_open
+    for j in range(degree):
+        is_open[j] = 1 if is_open[j] == 2 else 0
+    return n_new
+
+
+@njit(forceinline=True)
+def _nearness(world, rules, node, goal):
+    dx = world.nodes[node].x - world.nodes[goal].x
+    dy = world.nodes[node].y - world.nodes[goal].y
+    base = 0.5 + np.sqrt(dx * dx + dy * dy)
+    return 1.0 / base if rules.sharpness == 1.0 else 1.0 / base**rules.sharpness
+
+
+@njit(forceinline=True)
+def draw_edge(world, rules, learner, lane, r, n_open):
+    """Draw one of the open half-edges by p_j = CA · CovA_j + (1 − CA) · GolC_j (rule 9; section IV)."""
+    robot, is_open, share = lane.robots[r], lane.open, lane.share
+    node = world.nodes[robot.node]
+    degree = node.last - node.first
+    if n_open == 1:
+        for j in range(degree):
+            if is_open[j] > 0:
+                return node.first + j
+    goal = _goal(rules, robot)
+    coverage = 0.0
+    nearness = 0.0
+    for j in range(degree):
+        share[j] = 0.0
+        if is_open[j] > 0:
+            half = world.halves[node.first + j]
+            coverage += half.coverage
+            share[j] = 1.0
+            if goal >= 0 and goal != robot.node:
+                share[j] = _nearness(world, rules, half.to, goal)
+            nearness += share[j]
+    ca = learner.outputs[robot.force].ca
+    even = 1.0 / n_open
+    for j in range(degree):
+        if is_open[j] > 0:
+            covered = world.halves[node.first + j].coverage / coverage if coverage > 0.0 else even
+            near = share[j] / nearness if nearness > 0.0 else even
+            share[j] = ca * covered + (1.0 - ca) * near
+    u = uniform(lane.count[0].key, r, EDGE_DRAW, robot.choices)
+    robot.choices += 1
+    return node.first + _draw(share[:degree], u)
+
+
+@njit(forceinline=True)
+def choose_edge(world, rules, learner, lane, r):
+    """Return the half-edge by which robot r leaves, minding what others chose here in this step (rule 7)."""
+    robot, picks = lane.robots[r], lane.picks
+    site = lane.sites[robot.node]
+    first = world.nodes[robot.node].first
+    n_open = open_edges(world, rules, lane, r)
+    if rules.split == 0:
+        return draw_edge(world, rules, learner, lane, r, n_open)
+    if site.picking != lane.count[0].tick:
+        site.picking = lane.count[0].tick
+        site.picks = 0
+    if rules.split == 2:
+        for k in range(site.picks):
+            if lane.open[picks[first + k] - first] > 0:
+                return picks[first + k]
+    elif site.picks == 2:
+        one, two = picks[first] - first, picks[first + 1] - first
+        n_both = (1 if lane.open[one] > 0 else 0) + (1 if lane.open[two] > 0 else 0)
+        if n_both > 0:
+            for j in range(world.nodes[robot.node].last - first):
+                if j != one and j != two:
+                    lane.open[j] = 0
+            n_open = n_both
+    half = draw_edge(world, rules, learner, lane, r, n_open)
+    for k in range(site.picks):
+        if picks[first + k] == half:
+            return half
+    if rules.split == 2 or site.picks < 2:
+        picks[first + site.picks] = half
+        site.picks += 1
+    return half
+
+
+@njit(forceinline=True)
+def leave(world, rules, learner, lane):
+    """Let all who move at a node choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
+
+    Returns whether any unresolved feature is crossed.
+    """
+    robots, sites, count = lane.robots, lane.sites, lane.count[0]
+    crossed = False
+    for i in range(count.alive):
+        r = lane.roster[i]
+        robot = robots[r]
+        robot.crossing = 0
+        if robot.half >= 0 or sites[robot.node].unsearched > 0 or not _moves(learner, robot):
+            continue
+        half = choose_edge(world, rules, learner, lane, r)
+        robot.next = half
+        node, site = world.nodes[robot.node], sites[robot.node]
+        if node.feature > 1 and site.resolved == 0:
+            if world.halves[half].edge != robot.came or node.last - node.first == 1:
+                robot.crossing = 1
+                crossed = True
+                if site.crossed != count.tick:
+                    site.crossed = count.tick
+                    site.armed_crossing = 0
+                site.armed_crossing += world.members[r].armed
+    return crossed
+
+
+@njit(forceinline=True)
+def _resolve(rules, lane):
+    """Decide each crossed feature; return the highest and second-highest node of a failed attack, or -1."""
+    robots, sites, count = lane.robots, lane.sites, lane.count[0]
+    highest, second = np.int64(-1), np.int64(-1)
+    for i in range(count.alive):
+        robot = robots[lane.roster[i]]
+        site = sites[robot.node]
+        if robot.crossing == 0 or site.resolved == 1 or site.failed == count.tick:
+            continue
+        armed = site.armed_crossing if rules.engage_crossing == 1 else lane.teams[robot.team].armed
+        if site.hostile == 1 and armed < rules.weapons_needed:
+            site.failed = count.tick
+            if robot.node > highest:
+                highest, second = robot.node, highest
+            elif robot.node > second:
+                second = robot.node
+        else:
+            count.hostiles_left -= site.hostile
+            site.hostile = 0
+            site.resolved = 1
+    return highest, second
+
+
+@njit(forceinline=True)
+def encounter(rules, learner, lane):
+    """Fight at the crossed features; tell everyone (rule 10). A drill repels instead of destroying (rule 21)."""
+    robots, sites, count, roster = lane.robots, lane.sites, lane.count[0], lane.roster
+    highest, second = _resolve(rules, lane)
+    living = 0
+    for i in range(count.alive):
+        r = roster[i]
+        robot = robots[r]
+        engaged = (
+            robot.half < 0
+            and sites[robot.node].failed == count.tick
+            and (rules.engage_crossing == 0 or robot.crossing == 1)
+        )
+        if engaged:
+            count.losses += 1
+            if learner.loss_signal != 0.0 and learner.learn == 1 and learner.sweep_all == 0:
+                lane.weights[robot.pair_row, robot.out] = _reinforced(
+                    lane.weights[robot.pair_row, robot.out], learner.loss_signal, learner.floor
+                )
+            if rules.drill == 0:
+                robot.alive = 0
+                continue
+            if robot.crossing == 1:
+                robot.next = -1
+                robot.held = 1
+        told = second if engaged and robot.node == highest else highest
+        dl, about = robot.dl, robot.alert
+        if about >= 0 and sites[about].resolved == 1:
+            robot.dl = 0
+            robot.alert = -1
+        if told >= 0:
+            robot.dl = 2
+            robot.alert = told
+        if robot.dl != dl or robot.alert != about:
+            count.messages += 1
+        roster[living] = r
+        living += 1
+    count.alive = living
+
+
+@njit(forceinline=True)
+def move(world, rules, learner, lane):
+    """Advance everyone under way and take in arrivals (rules 2 and 12)."""
+    robots, count = lane.robots, lane.count[0]
+    for i in range(count.alive):
+        r = lane.roster[i]
+        robot = robots[r]
+        leaving = robot.next >= 0
+        if leaving:
+            robot.half = robot.next
+            robot.next = -1
+            robot.progress = 0
+        if robot.half < 0:
+            continue
+        if leaving or learner.outputs[robot.force].mv == 1:
+            speed = world.members[r].speed_mm
+            team = lane.teams[robot.team]
+            keeps = world.members[r].armed == 0 and learner.outputs[robot.force].wpn == 1
+            if keeps and team.armed > 0 and team.slowest < speed:
+                speed = team.slowest
+            robot.progress += speed
+            half = world.halves[robot.half]
+            if robot.progress >= half.cost_mm:
+                robot.node = half.to
+                robot.came = half.edge
+                robot.half = -1
+                robot.progress = 0
+                robot.due = 1
+                lane.maps[r, half.edge >> 6] |= np.uint64(1) << np.uint64(half.edge & 63)
+                if lane.visited[half.edge] == 0:
+                    lane.visited[half.edge] = 1
+                    count.edges_left -= 1
+        # what was decided in mid-corridor takes effect from the next step on
+        robot.force = robot.out
+
+
+@njit(forceinline=True)
+def group(world, lane):
+    """Find the teams: robots at one node, or on one half-edge with equal progress (rule 4)."""
+    robots, teams, slots, count = lane.robots, lane.teams, lane.slots, lane.count[0]
+    mask = slots.shape[0] - 1
+    n_nodes = world.nodes.shape[0]
+    n_teams = 0
+    for i in range(count.alive):
+        r = lane.roster[i]
+        robot = robots[r]
+        robot.since += 1
+        place = robot.node if robot.half < 0 else n_nodes + robot.half
+        address = mix(np.uint64(place) * _GOLDEN + np.uint64(robot.progress))
+        at = np.int64(address & np.uint64(mask))
+        while slots[at].tick == count.tick and (slots[at].place != place or slots[at].progress != robot.progress):
+            at = (at + 1) & mask
+        slot = slots[at]
+        if slot.tick != count.tick:
+            slot.tick = count.tick
+            slot.place = place
+            slot.progress = robot.progress
+            slot.team = n_teams
+            fresh = teams[n_teams]
+            fresh.lead = r
+            fresh.armed = 0
+            fresh.slowest = 0
+            fresh.size = 0
+            fresh.due = 0
+            fresh.learned = 0
+            n_teams += 1
+        robot.team = slot.team
+        team = teams[slot.team]
+        team.size += 1
+        member = world.members[r]
+        if member.armed == 1:
+            if team.armed == 0 or member.speed_mm < team.slowest:
+                team.slowest = member.speed_mm
+            team.armed += 1
+    count.teams = n_teams
+
+
+@njit(forceinline=True)
+def pool(rules, lane):
+    """Pool maps within teams, or over all by radio; one message per pooling that taught someone (rules 11, 12)."""
+    if rules.share_map == 0:
+        return
+    robots, teams, maps, pooled, count = lane.robots, lane.teams, lane.maps, lane.pooled, lane.count[0]
+    words = maps.shape[1]
+    radio = rules.share_map == 2
+    for i in range(count.alive):
+        r = lane.roster[i]
+        t = 0 if radio else robots[r].team
+        first = i == 0 if radio else teams[t].lead == r
+        if not radio and teams[t].size == 1:
+            continue
+        for w in range(words):
+            pooled[t, w] = maps[r, w] if first else pooled[t, w] | maps[r, w]
+    for i in range(count.alive):
+        r = lane.roster[i]
+        t = 0 if radio else robots[r].team
+        if not radio and teams[t].size == 1:
+            continue
+        for w in range(words):
+            if maps[r, w] != pooled[t, w]:
+                maps[r, w] = pooled[t, w]
+                if teams[t].learned == 0:
+                    teams[t].learned = 1
+                    count.messages += 1
+
+
+@njit(forceinline=True)
+def search(lane):
+    """Search the rooms that hold a robot, one step's worth each (rule 13)."""
+    sites, count = lane.sites, lane.count[0]
+    count.searching = 0
+    if count.rooms_left == 0:
+        return
+    for i in range(count.alive):
+        robot = lane.robots[lane.roster[i]]
+        if robot.half < 0:
+            site = sites[robot.node]
+            if site.unsearched > 0 and site.searched != count.tick:
+                site.searched = count.tick
+                site.unsearched -= 1
+                count.searching = 1
+                if site.unsearched == 0:
+                    count.rooms_left -= 1
+
+
+@njit(nogil=True, cache=True)
+def step(world, rules, learner, lane, fixed):
+    """Run one step (rule 1).
+
+    Parameters
+    ----------
+    world, rules, learner, lane
+        See the classes; no bounds checking.
+    fixed
+        The one output of the whole trial (the sweep), or -1: outputs are drawn.
+
+    Returns
+    -------
+    int
+        0: goes on, 1: success, 2: failure (rule 16), 3: an input outside the task occurred (``count.outside`` - 1).
+    """
+    count = lane.count[0]
+    count.tick += 1
+    count.robot_steps += count.alive
+    sense(world, rules, lane)
+    decide(rules, learner, lane, fixed)
+    if count.outside > 0:
+        return 3
+    alert(world, rules, learner, lane)
+    if leave(world, rules, learner, lane):
+        encounter(rules, learner, lane)
+    move(world, rules, learner, lane)
+    group(world, lane)
+    pool(rules, lane)
+    search(lane)
+    count.step += 1
+    if count.edges_left == 0 and count.rooms_left == 0 and count.hostiles_left == 0:
+        return 1
+    return 2 if count.alive == 0 or count.step >= rules.limit else 0
+
+
+# --- a trial ----------------------------------------------------------------------------------------------------
+
+
+@njit(forceinline=True)
+def place_hostiles(world, rules, lane, place_key):
+    """Hide the hostiles: the same draw for every arm, since ``place_key`` knows only seed and map (rule 14)."""
+    n_candidates = world.candidates.shape[0]
+    for k in range(n_candidates):
+        lane.shuffle[k] = world.candidates[k]
+    for k in range(rules.hostiles):
+        chosen = k
+        if rules.placed == 0:
+            u = uniform(place_key, 0, PLACE_DRAW, k)
+            chosen = k + np.int64(u * (n_candidates - k))
+        node = lane.shuffle[chosen]
+        lane.shuffle[chosen] = lane.shuffle[k]
+        lane.sites[node].hostile = 1
+
+
+@njit(nogil=True, cache=True)
+def begin_trial(world, rules, lane, trial_key, place_key):
+    """Put everyone at the start with an empty map; hide the hostiles."""
+    count = lane.count[0]
+    n_robots = world.members.shape[0]
+    count.trial += 1
+    count.tick += 1
+    count.step = 0
+    count.alive = n_robots
+    count.edges_left = lane.visited.shape[0]
+    count.rooms_left = rules.rooms
+    count.hostiles_left = rules.hostiles
+    count.losses = 0
+    count.messages = 0
+    count.used = 0
+    count.outside = 0
+    count.key = trial_key
+    lane.visited[:] = 0
+    lane.maps[:] = 0
+    for v in range(world.nodes.shape[0]):
+        site = lane.sites[v]
+        site.hostile = 0
+        site.resolved = 0
+        site.unsearched = world.search[v]
+    place_hostiles(world, rules, lane, absorb(trial_key, 0) if rules.relocate == 1 else place_key)
+    for r in range(n_robots):
+        lane.roster[r] = r
+        robot = lane.robots[r]
+        robot.alive = 1
+        robot.node = rules.start
+        robot.half = -1
+        robot.next = -1
+        robot.came = -1
+        robot.progress = 0
+        robot.due = 1
+        robot.since = -1  # `group` below counts one step that did not happen
+        robot.row = -1
+        robot.pair_row = 0
+        robot.out = 0
+        robot.force = 0
+        robot.held = 0
+        robot.crossing = 0
+        robot.dl = 0
+        robot.alert = -1
+        robot.decisions = 0
+        robot.choices = 0
+    group(world, lane)
+
+
+@njit(nogil=True, cache=True)
+def end_trial(rules, learner, lane, success, fixed, mean_steps):
+    """Apply the global time signal (rules 18 and 19); return the trial's steps (a failure counts as the limit)."""
+    count, weights = lane.count[0], lane.weights
+    steps = count.step if success else rules.limit
+    if learner.learn == 0:
+        return steps
+    inverted = learner.time_reward * (1.0 - steps / rules.limit)
+    if learner.sweep_all == 1:
+        for row in range(weights.shape[0]):
+            weights[row, fixed] = _reinforced(
+                weights[row, fixed], learner.signal[row, fixed] + inverted, learner.floor
+            )
+    elif learner.time_signal > 0:
+        signal = inverted
+        if learner.time_signal == 2:
+            signal = 2.0 * learner.time_reward * (mean_steps - steps) / rules.limit if mean_steps >= 0.0 else 0.0
+        n_outputs = weights.shape[1]
+        for k in range(count.used):
+            row, out = lane.pairs[k] // n_outputs, lane.pairs[k] % n_outputs
+            weights[row, out] = _reinforced(weights[row, out], signal, learner.floor)
+    return steps
+
+
+@njit(nogil=True, cache=True)
+def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, fixed, max_losses, table, left):
+    """Run trials one after the other, learning as they go; fill one row of ``table`` for each.
+
+    Parameters
+    ----------
+    world, rules, learner, lane
+        See the classes; no bounds checking.
+    stage_key, place_key
+        uint64: the hash of (seed, map, stage), and of (seed, map).
+    first_trial
+        The number of the first trial (part of the random key).
+    fixed
+        int64 (n,): each trial's one output, or -1.
+    max_losses
+        No further trial begins once so many robots were lost; -1: no cap.
+    table
+        int64 (n, 7), out: steps, success, losses, teams left, hostiles left, edges seen, messages.
+    left
+        int64 (n, kinds), out: robots left by kind.
+
+    Returns
+    -------
+    (int, int)
+        The number of trials run; 0, or 1 + the input outside the task at which it stopped.
+    """
+    count = lane.count[0]
+    total_steps = 0
+    total_losses = 0
+    for n in range(fixed.shape[0]):
+        if 0 <= max_losses <= total_losses:
+            return n, 0
+        begin_trial(world, rules, lane, absorb(stage_key, first_trial + n), place_key)
+        # with one output that stops everybody, a step without any change repeats itself to the end
+        stuck = fixed[n] >= 0 and learner.outputs[max(fixed[n], 0)].mv == 0
+        stuck = stuck and (learner.sweep_all == 1 or learner.learn == 0)
+        state = 0
+        while state == 0:
+            messages = count.messages
+            state = step(world, rules, learner, lane, fixed[n])
+            if stuck and count.searching == 0 and count.messages == messages and state == 0:
+                state = 2
+        if state == 3:
+            return n, count.outside
+        steps = end_trial(rules, learner, lane, state == 1, fixed[n], total_steps / n if n > 0 else -1.0)
+        total_steps += steps
+        total_losses += count.losses
+        table[n, 0] = steps
+        table[n, 1] = 1 if state == 1 else 0
+        table[n, 2] = count.losses
+        table[n, 3] = count.teams
+        table[n, 4] = count.hostiles_left
+        table[n, 5] = lane.visited.shape[0] - count.edges_left
+        table[n, 6] = count.messages
+        for k in range(left.shape[1]):
+            left[n, k] = 0
+        for i in range(count.alive):
+            left[n, world.members[lane.roster[i]].kind] += 1
+    return fixed.shape[0], 0

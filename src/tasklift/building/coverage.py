@@ -72,7 +72,7 @@ def sectors(building: Building, node: int) -> list[Any]:
 
 
 def _sectors(building: Building, node: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Rings ``(G, 7, 2)`` of a node's G sectors, large enough to hold the outline; the sector of each half-edge.
+    """Rings ``(G, 7, 2)`` of a node's G sectors, large enough for the outline; each half-edge's sector.
 
     With a single direction there is one sector, the whole plane, and its ring means nothing.
     """

@@ -9,7 +9,6 @@ Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol, get_args, get_type_hints
 
@@ -20,6 +19,7 @@ import tasklift
 from tasklift.errors import TaskliftError
 from tasklift.policy import Policy
 from tasklift.task import Task
+from tasklift.variable import plain_number
 
 SWEEP_STAGE = 1
 TARGET_STAGE = 2
@@ -70,8 +70,8 @@ class Reinforcement:
                 raise TaskliftError(
                     f"reinforcement, {name}: expected one of {', '.join(allowed)}, found {value!r}"
                 )
-            if not allowed and (isinstance(value, bool | str) or not math.isfinite(value)):
-                raise TaskliftError(f"reinforcement, {name}: expected a finite number, found {value!r}")
+            if not allowed:
+                plain_number(value, f"reinforcement, {name}")
         if self.floor < 0:
             raise TaskliftError(
                 f"reinforcement, floor: weights are not negative, found {self.floor}; use 0 or more"

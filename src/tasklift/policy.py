@@ -29,6 +29,7 @@ from tasklift import rules
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, check_fields, read_document, write_atomically
 from tasklift.task import Condition, Task
+from tasklift.variable import plain_number
 
 Weights = NDArray[np.float64]
 Rule = Literal["exploration", "pseudo-random", "exploitation"]
@@ -105,12 +106,8 @@ class Policy:
                 raise TaskliftError(f"policy: {name!r} cannot be carried, the name is taken; choose another")
             if isinstance(value, np.ndarray) and value.ndim:
                 carried[name] = _checked(self.task, value, f"carried {name!r}")
-            elif isinstance(value, str | bool) or not math.isfinite(value):
-                raise TaskliftError(
-                    f"policy: expected a number or an array as carried {name!r}, found {value!r}"
-                )
             else:
-                carried[name] = float(value)
+                carried[name] = plain_number(value, f"policy, carried {name!r}")
         object.__setattr__(self, "carried", carried)
         object.__setattr__(self, "provenance", dict(self.provenance))
 
@@ -477,10 +474,10 @@ def set_weight(value: float, when: Condition | None = None) -> Prior:
 
 
 def _finite(value: float, what: str, at_least: float = -math.inf) -> float:
-    if isinstance(value, str | bool) or not math.isfinite(value) or value < at_least:
-        bound = " of 0 or more" if at_least == 0 else ""
-        raise TaskliftError(f"prior {what}: expected a finite number{bound}, found {value!r}")
-    return float(value)
+    number = plain_number(value, f"prior {what}")
+    if number < at_least:
+        raise TaskliftError(f"prior {what}: expected a number of {at_least} or more, found {value!r}")
+    return number
 
 
 # -- files -------------------------------------------------------------------------------------------------

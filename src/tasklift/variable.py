@@ -32,7 +32,10 @@ def plain_number(value: Any, where: str) -> float:
     plain = plain_value(value, where)
     if isinstance(plain, str | bool):
         raise TaskliftError(f"{where}: expected a number, found {value!r}")
-    return float(plain)
+    try:
+        return float(plain)
+    except OverflowError as error:
+        raise TaskliftError(f"{where}: a number of {len(str(plain))} digits is too large") from error
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,98 @@
+"""The same cells on a Ray cluster, or on a local Ray: the same rows as threads give."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Generator, Iterator
+from typing import Any
+
+from tasklift.errors import TaskliftError
+from tasklift.lab.engine import Group, Stopped, Work, compute
+from tasklift.lab.packing import Detail, Packed
+
+_RETRIES = 5  # of a group whose worker or node died; tasks keep no state, so repeating one is safe
+
+
+def tasks(
+    groups: Iterator[Group],
+    work: Work,
+    detail: Detail,
+    stopped: Stopped,
+    *,
+    workers: int | None = None,
+    address: str | None = None,
+) -> Generator[Packed, None, None]:
+    """Yield packed cells as Ray tasks finish: one task and one core per group, in any order.
+
+    Only this process writes the store; tasks give back bytes. A task whose worker or node dies is repeated.
+    A Ray that this process has started or joined already is used as it is, and left running.
+
+    Raises
+    ------
+    TaskliftError
+        If Ray is not installed, no cluster answers at ``address``, or the work fails.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise TaskliftError("the engine 'ray' needs Ray: pip install 'tasklift[ray]'") from error
+    started = not ray.is_initialized()
+    if started:
+        _connect(ray, workers, address)
+    try:
+        remote = ray.remote(max_retries=_RETRIES, num_cpus=1)(_compute_group)
+        shared = ray.put((work, detail))
+        # two groups per core: one in work, one on its way
+        limit = 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        pending: list[Any] = []
+        while True:
+            while len(pending) < limit and not stopped() and (group := next(groups, None)):
+                pending.append(remote.remote(shared, group))
+            if not pending:
+                return
+            ready, pending = ray.wait(pending, timeout=1.0)
+            for task in ready:
+                yield from _received(ray, task)
+    finally:
+        if started:
+            ray.shutdown()
+
+
+def _connect(ray: Any, workers: int | None, address: str | None) -> None:
+    options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+    if address is None:
+        # statistics about usage would go over the network from a machine that asked for nothing of the kind
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        options |= {"num_cpus": workers or len(os.sched_getaffinity(0)), "include_dashboard": False}
+        # what this process can import, its workers can
+        options["runtime_env"] = {"env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}}
+    elif workers is not None:
+        raise TaskliftError(f"workers {workers}: a running cluster ({address}) has its own; leave one out")
+    try:
+        ray.init(address=address or "local", **options)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise TaskliftError(
+            f"Ray at {address or 'this machine'}: cannot connect ({error}); is it running, and of the same "
+            "Ray and Python version?"
+        ) from error
+
+
+def _compute_group(shared: tuple[Work, Detail], group: Group) -> list[Packed]:
+    work, detail = shared
+    return [compute(work, cell, detail) for cell in group]
+
+
+def _received(ray: Any, task: Any) -> list[Packed]:
+    try:
+        packed: list[Packed] = ray.get(task)
+        return packed
+    except ray.exceptions.RayTaskError as error:
+        if isinstance(error.cause, TaskliftError):
+            raise TaskliftError(str(error.cause)) from None
+        raise
+    except ray.exceptions.WorkerCrashedError as error:
+        raise TaskliftError(
+            f"Ray: a worker died {_RETRIES + 1} times on the same cells; memory may be short"
+        ) from error

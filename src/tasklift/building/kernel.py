@@ -125,16 +125,16 @@ class Lane(NamedTuple):
 
 OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW = 0, 1, 2, 3  # the purpose of a draw
 
-_draw = njit(forceinline=True)(scalar.draw)
-_heaviest = njit(forceinline=True)(scalar.heaviest)
-_reinforced = njit(forceinline=True)(scalar.reinforce)
+_draw = njit(forceinline=True, _nrt=False)(scalar.draw)
+_heaviest = njit(forceinline=True, _nrt=False)(scalar.heaviest)
+_reinforced = njit(forceinline=True, _nrt=False)(scalar.reinforce)
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def mix(z):
     """Return the finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014) of a uint64."""
     z = (z ^ (z >> np.uint64(30))) * _FIRST
@@ -142,13 +142,13 @@ def mix(z):
     return z ^ (z >> np.uint64(31))
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def absorb(key, value):
     """Return the uint64 ``key`` with one more 64-bit ``value`` hashed into it."""
     return mix(key ^ mix(np.uint64(value) + _GOLDEN))
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def uniform(key, robot, purpose, number):
     """Return draw ``number`` of ``robot`` for ``purpose``: a float64 in [0, 1)."""
     address = (np.uint64(robot) << np.uint64(40)) | (np.uint64(purpose) << np.uint64(32)) | np.uint64(number)
@@ -171,7 +171,7 @@ def keys(seed, map_id, stage):
 # --- a step, phase by phase -------------------------------------------------------------------------------------
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def _goal(rules, robot):
     """Return the node that a robot heads for, -1 without a goal."""
     if robot.dl == 2 or (robot.dl == 1 and rules.suspicion_goal == 1):
@@ -179,12 +179,12 @@ def _goal(rules, robot):
     return np.int64(-1)
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def _moves(learner, robot):
     return robot.held == 0 and learner.outputs[robot.force].mv == 1
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def sense(world, rules, lane):
     """Find every robot's input (Table I) and who is due for a decision (rule 6)."""
     robots, sites, teams = lane.robots, lane.sites, lane.teams
@@ -203,7 +203,7 @@ def sense(world, rules, lane):
         robot.row = row
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def credit(learner, lane, row, out):
     """Book the use of (row, out) and apply its local signal at once (rules 17 and 19)."""
     count, used = lane.count[0], lane.used
@@ -218,61 +218,62 @@ def credit(learner, lane, row, out):
             lane.weights[row, out] = _reinforced(lane.weights[row, out], signal, learner.floor)
 
 
-@njit(forceinline=True)
-def decide(rules, learner, lane, fixed):
-    """Draw an output for all who are due, in robot order; a whole team at once under ``by_team`` (rule 5)."""
-    robots, teams, key = lane.robots, lane.teams, lane.count[0].key
-    for i in range(lane.count[0].alive):
+@njit(forceinline=True, _nrt=False)
+def draw_output(learner, lane, r, fixed):
+    """Let robot r draw an output for its input (rule 20), and book it."""
+    robot, key = lane.robots[r], lane.count[0].key
+    row = learner.rows[robot.row]
+    if row < 0:
+        lane.count[0].outside = robot.row + 1
+        return
+    if fixed >= 0:
+        out = fixed
+    else:
+        u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
+        if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
+            out = _heaviest(lane.weights[row], u)
+        else:
+            out = _draw(lane.weights[row], u)
+    robot.decisions += 1
+    robot.out = out
+    robot.pair_row = row
+    credit(learner, lane, row, out)
+
+
+@njit(forceinline=True, _nrt=False)
+def decide(world, rules, learner, lane, fixed):
+    """Let all who are due decide, in robot order; a whole team at once under ``by_team`` (rule 5).
+
+    Marks the unresolved features at which someone stops, and returns whether there is one.
+    """
+    robots, teams, sites, count = lane.robots, lane.teams, lane.sites, lane.count[0]
+    someone_stops = False
+    for i in range(count.alive):
         r = lane.roster[i]
         robot = robots[r]
-        lead = robots[teams[robot.team].lead]
-        if rules.by_team == 1:
-            if teams[robot.team].due == 0:
-                continue
-        elif robot.due == 0:
-            continue
-        if rules.by_team == 1 and teams[robot.team].lead != r:
-            robot.out = lead.out
-            robot.pair_row = lead.pair_row
-        else:
-            row = learner.rows[robot.row]
-            if row < 0:
-                lane.count[0].outside = robot.row + 1
-                return
-            if fixed >= 0:
-                out = fixed
+        team = teams[robot.team]
+        if (team.due if rules.by_team == 1 else robot.due) == 1:
+            if rules.by_team == 1 and team.lead != r:
+                robot.out = robots[team.lead].out
+                robot.pair_row = robots[team.lead].pair_row
             else:
-                u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
-                if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
-                    out = _heaviest(lane.weights[row], u)
-                else:
-                    out = _draw(lane.weights[row], u)
-            robot.decisions += 1
-            robot.out = out
-            robot.pair_row = row
-            credit(learner, lane, row, out)
-        robot.due = 0
-        robot.since = 0
-        robot.held = 0
-        if robot.half < 0:
-            robot.force = robot.out
-
-
-@njit(forceinline=True)
-def alert(world, rules, learner, lane):
-    """Spread the suspicion of robots that stop at an unresolved feature (rule 11)."""
-    robots, sites, count = lane.robots, lane.sites, lane.count[0]
-    if rules.alerts == 0:
-        return
-    someone = False
-    for i in range(count.alive):
-        robot = robots[lane.roster[i]]
+                draw_output(learner, lane, r, fixed)
+            robot.due = 0
+            robot.since = 0
+            robot.held = 0
+            if robot.half < 0:
+                robot.force = robot.out
         if robot.half < 0 and world.nodes[robot.node].feature > 1 and sites[robot.node].resolved == 0:
             if not _moves(learner, robot):
                 sites[robot.node].stopped = count.tick
-                someone = True
-    if not someone:
-        return
+                someone_stops = True
+    return someone_stops
+
+
+@njit(forceinline=True, _nrt=False)
+def alert(world, lane):
+    """Spread the suspicion of robots that stop at an unresolved feature (rule 11)."""
+    robots, sites, count = lane.robots, lane.sites, lane.count[0]
     for i in range(count.alive):
         robot = robots[lane.roster[i]]
         if robot.dl != 0:
@@ -286,12 +287,12 @@ def alert(world, rules, learner, lane):
                 break
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def _knows(lane, r, edge):
     return (lane.maps[r, edge >> 6] >> np.uint64(edge & 63)) & np.uint64(1) == np.uint64(1)
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def open_edges(world, rules, lane, r):
     """Mark in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
     robot, is_open = lane.robots[r], lane.open
@@ -317,7 +318,7 @@ def open_edges(world, rules, lane, r):
     return n_new
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def _nearness(world, rules, node, goal):
     dx = world.nodes[node].x - world.nodes[goal].x
     dy = world.nodes[node].y - world.nodes[goal].y
@@ -325,7 +326,7 @@ def _nearness(world, rules, node, goal):
     return 1.0 / base if rules.sharpness == 1.0 else 1.0 / base**rules.sharpness
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def draw_edge(world, rules, learner, lane, r, n_open):
     """Draw one of the open half-edges by p_j = CA · CovA_j + (1 − CA) · GolC_j (rule 9; section IV)."""
     robot, is_open, share = lane.robots[r], lane.open, lane.share
@@ -359,7 +360,7 @@ def draw_edge(world, rules, learner, lane, r, n_open):
     return node.first + _draw(share[:degree], u)
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def choose_edge(world, rules, learner, lane, r):
     """Return the half-edge by which robot r leaves, minding what others chose here in this step (rule 7)."""
     robot, picks = lane.robots[r], lane.picks
@@ -393,7 +394,7 @@ def choose_edge(world, rules, learner, lane, r):
     return half
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def leave(world, rules, learner, lane):
     """Let all who move at a node choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
 
@@ -421,7 +422,7 @@ def leave(world, rules, learner, lane):
     return crossed
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def _resolve(rules, lane):
     """Decide each crossed feature; return the highest and second-highest node of a failed attack, or -1."""
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
@@ -445,7 +446,7 @@ def _resolve(rules, lane):
     return highest, second
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def encounter(rules, learner, lane):
     """Fight at the crossed features; tell everyone (rule 10). A drill repels instead of destroying (rule 21)."""
     robots, sites, count, roster = lane.robots, lane.sites, lane.count[0], lane.roster
@@ -486,7 +487,7 @@ def encounter(rules, learner, lane):
     count.alive = living
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def move(world, rules, learner, lane):
     """Advance everyone under way and take in arrivals (rules 2 and 12)."""
     robots, count = lane.robots, lane.count[0]
@@ -522,85 +523,58 @@ def move(world, rules, learner, lane):
         robot.force = robot.out
 
 
-@njit(forceinline=True)
-def group(world, lane):
-    """Find the teams: robots at one node, or on one half-edge with equal progress (rule 4)."""
-    robots, teams, slots, count = lane.robots, lane.teams, lane.slots, lane.count[0]
+@njit(forceinline=True, _nrt=False)
+def team_of(world, lane, robot):
+    """Return the number of the team at a robot's place, ``count.teams`` if it is the first there (rule 4)."""
+    slots, count = lane.slots, lane.count[0]
     mask = slots.shape[0] - 1
-    n_nodes = world.nodes.shape[0]
-    n_teams = 0
+    place = robot.node if robot.half < 0 else world.nodes.shape[0] + robot.half
+    address = (np.uint64(place) * _FIRST + np.uint64(robot.progress)) * _GOLDEN
+    at = np.int64(address >> np.uint64(32)) & mask
+    while slots[at].tick == count.tick:
+        if slots[at].place == place and slots[at].progress == robot.progress:
+            return slots[at].team
+        at = (at + 1) & mask
+    slot = slots[at]
+    slot.tick = count.tick
+    slot.place = place
+    slot.progress = robot.progress
+    slot.team = count.teams
+    return count.teams
+
+
+@njit(forceinline=True, _nrt=False)
+def gather(world, lane):
+    """Find the teams (rule 4) and search the rooms that hold a robot, one step's worth each (rule 13).
+
+    Returns whether any two robots of a team have different maps.
+    """
+    robots, teams, sites, maps, count = lane.robots, lane.teams, lane.sites, lane.maps, lane.count[0]
+    count.teams = 0
+    count.searching = 0
+    differ = False
     for i in range(count.alive):
         r = lane.roster[i]
         robot = robots[r]
         robot.since += 1
-        place = robot.node if robot.half < 0 else n_nodes + robot.half
-        address = mix(np.uint64(place) * _GOLDEN + np.uint64(robot.progress))
-        at = np.int64(address & np.uint64(mask))
-        while slots[at].tick == count.tick and (slots[at].place != place or slots[at].progress != robot.progress):
-            at = (at + 1) & mask
-        slot = slots[at]
-        if slot.tick != count.tick:
-            slot.tick = count.tick
-            slot.place = place
-            slot.progress = robot.progress
-            slot.team = n_teams
-            fresh = teams[n_teams]
-            fresh.lead = r
-            fresh.armed = 0
-            fresh.slowest = 0
-            fresh.size = 0
-            fresh.due = 0
-            fresh.learned = 0
-            n_teams += 1
-        robot.team = slot.team
-        team = teams[slot.team]
-        team.size += 1
+        robot.team = team_of(world, lane, robot)
+        team = teams[robot.team]
+        if robot.team == count.teams:
+            count.teams += 1
+            team.lead = r
+            team.armed = 0
+            team.size = 1
+            team.due = 0
+            team.learned = 0
+        else:
+            team.size += 1
+            for w in range(maps.shape[1]):
+                differ |= maps[r, w] != maps[team.lead, w]
         member = world.members[r]
         if member.armed == 1:
             if team.armed == 0 or member.speed_mm < team.slowest:
                 team.slowest = member.speed_mm
             team.armed += 1
-    count.teams = n_teams
-
-
-@njit(forceinline=True)
-def pool(rules, lane):
-    """Pool maps within teams, or over all by radio; one message per pooling that taught someone (rules 11, 12)."""
-    if rules.share_map == 0:
-        return
-    robots, teams, maps, pooled, count = lane.robots, lane.teams, lane.maps, lane.pooled, lane.count[0]
-    words = maps.shape[1]
-    radio = rules.share_map == 2
-    for i in range(count.alive):
-        r = lane.roster[i]
-        t = 0 if radio else robots[r].team
-        first = i == 0 if radio else teams[t].lead == r
-        if not radio and teams[t].size == 1:
-            continue
-        for w in range(words):
-            pooled[t, w] = maps[r, w] if first else pooled[t, w] | maps[r, w]
-    for i in range(count.alive):
-        r = lane.roster[i]
-        t = 0 if radio else robots[r].team
-        if not radio and teams[t].size == 1:
-            continue
-        for w in range(words):
-            if maps[r, w] != pooled[t, w]:
-                maps[r, w] = pooled[t, w]
-                if teams[t].learned == 0:
-                    teams[t].learned = 1
-                    count.messages += 1
-
-
-@njit(forceinline=True)
-def search(lane):
-    """Search the rooms that hold a robot, one step's worth each (rule 13)."""
-    sites, count = lane.sites, lane.count[0]
-    count.searching = 0
-    if count.rooms_left == 0:
-        return
-    for i in range(count.alive):
-        robot = lane.robots[lane.roster[i]]
         if robot.half < 0:
             site = sites[robot.node]
             if site.unsearched > 0 and site.searched != count.tick:
@@ -609,10 +583,34 @@ def search(lane):
                 count.searching = 1
                 if site.unsearched == 0:
                     count.rooms_left -= 1
+    return differ
 
 
-@njit(nogil=True, cache=True)
-def step(world, rules, learner, lane, fixed):
+@njit(forceinline=True, _nrt=False)
+def pool(rules, lane):
+    """Pool maps within teams, or over all by radio; one message per pooling that taught someone (rules 11, 12)."""
+    robots, teams, maps, pooled, count = lane.robots, lane.teams, lane.maps, lane.pooled, lane.count[0]
+    words = maps.shape[1]
+    radio = rules.share_map == 2
+    for i in range(count.alive):
+        r = lane.roster[i]
+        t = 0 if radio else robots[r].team
+        first = i == 0 if radio else teams[t].lead == r
+        for w in range(words):
+            pooled[t, w] = maps[r, w] if first else pooled[t, w] | maps[r, w]
+    for i in range(count.alive):
+        r = lane.roster[i]
+        t = 0 if radio else robots[r].team
+        for w in range(words):
+            if maps[r, w] != pooled[t, w]:
+                maps[r, w] = pooled[t, w]
+                if teams[t].learned == 0:
+                    teams[t].learned = 1
+                    count.messages += 1
+
+
+@njit(forceinline=True, _nrt=False)
+def _step(world, rules, learner, lane, fixed):
     """Run one step (rule 1).
 
     Parameters
@@ -631,26 +629,33 @@ def step(world, rules, learner, lane, fixed):
     count.tick += 1
     count.robot_steps += count.alive
     sense(world, rules, lane)
-    decide(rules, learner, lane, fixed)
+    someone_stops = decide(world, rules, learner, lane, fixed)
     if count.outside > 0:
         return 3
-    alert(world, rules, learner, lane)
+    if someone_stops and rules.alerts == 1:
+        alert(world, lane)
     if leave(world, rules, learner, lane):
         encounter(rules, learner, lane)
     move(world, rules, learner, lane)
-    group(world, lane)
-    pool(rules, lane)
-    search(lane)
+    differ = gather(world, lane)
+    if rules.share_map == 2 or (rules.share_map == 1 and differ):
+        pool(rules, lane)
     count.step += 1
     if count.edges_left == 0 and count.rooms_left == 0 and count.hostiles_left == 0:
         return 1
     return 2 if count.alive == 0 or count.step >= rules.limit else 0
 
 
+@njit(nogil=True, cache=True, _nrt=False)
+def step(world, rules, learner, lane, fixed):
+    """Run :func:`_step`; the door from Python, for traces and tests."""
+    return _step(world, rules, learner, lane, fixed)
+
+
 # --- a trial ----------------------------------------------------------------------------------------------------
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, _nrt=False)
 def place_hostiles(world, rules, lane, place_key):
     """Hide the hostiles: the same draw for every arm, since ``place_key`` knows only seed and map (rule 14)."""
     n_candidates = world.candidates.shape[0]
@@ -666,7 +671,7 @@ def place_hostiles(world, rules, lane, place_key):
         lane.sites[node].hostile = 1
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, _nrt=False)
 def begin_trial(world, rules, lane, trial_key, place_key):
     """Put everyone at the start with an empty map; hide the hostiles."""
     count = lane.count[0]
@@ -701,7 +706,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.came = -1
         robot.progress = 0
         robot.due = 1
-        robot.since = -1  # `group` below counts one step that did not happen
+        robot.since = -1  # `gather` below counts one step that did not happen
         robot.row = -1
         robot.pair_row = 0
         robot.out = 0
@@ -712,10 +717,13 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.alert = -1
         robot.decisions = 0
         robot.choices = 0
-    group(world, lane)
+    gather(world, lane)
+    # that was the grouping before the first step: nothing has been searched yet
+    lane.sites[rules.start].unsearched = world.search[rules.start]
+    count.rooms_left = rules.rooms
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, _nrt=False)
 def end_trial(rules, learner, lane, success, fixed, mean_steps):
     """Apply the global time signal (rules 18 and 19); return the trial's steps (a failure counts as the limit)."""
     count, weights = lane.count[0], lane.weights
@@ -739,7 +747,7 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
     return steps
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, _nrt=False)
 def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, fixed, max_losses, table, left):
     """Run trials one after the other, learning as they go; fill one row of ``table`` for each.
 
@@ -778,7 +786,7 @@ def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, f
         state = 0
         while state == 0:
             messages = count.messages
-            state = step(world, rules, learner, lane, fixed[n])
+            state = _step(world, rules, learner, lane, fixed[n])
             if stuck and count.searching == 0 and count.messages == messages and state == 0:
                 state = 2
         if state == 3:

@@ -1,0 +1,386 @@
+"""From a floor plan to a building: rooms, doors, junctions and bends, and the corridors between them.
+
+Rooms and doors come from dividing the free space at its narrow places (:mod:`tasklift.plans.segment`),
+corridors from the skeleton of what is no room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
+from tasklift.errors import TaskliftError
+from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, trace
+from tasklift.plans.ros import Plan
+from tasklift.plans.segment import Opening, Regions, Settings, Space, clean, divide, measure_regions
+
+CORNER_DEGREES = 65.0
+STRAIGHTEN_M = 0.25
+BEND_TOLERANCE_M = 0.6
+
+
+def extract(
+    plan: Plan,
+    settings: Settings | None = None,
+    *,
+    seed_point: tuple[float, float] | None = None,
+    start: tuple[float, float] | int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Building, list[str]]:
+    """Return the building that ``plan`` shows, and a list of doubts, a sentence each.
+
+    Parameters
+    ----------
+    seed_point
+        A point (m) inside the building, where the picture holds several.
+    start
+        Where the robots begin: a node id, or a point (m), of which the nearest room is taken. By default the
+        room nearest to the bottom centre.
+    """
+    settings = settings or Settings()
+    say = progress or (lambda _: None)
+    say("cleaning the picture")
+    pixel = None
+    if seed_point is not None:
+        row, column = plan.to_pixels(np.array([seed_point]))[0].tolist()
+        pixel = (row, column)
+    space = clean(plan, settings, pixel)
+    say("dividing at the narrow places")
+    region, openings = divide(space, settings)
+    measure = measure_regions(space, region, openings)
+    is_room = measure.rooms(settings)
+    region, openings, left_out = _without_closets(region, openings, measure, is_room, settings)
+    say("tracing the corridors")
+    graph = _draw(space, settings, region, openings, is_room)
+    _name_bends(graph, space, settings)
+    _no_parallels(graph)
+    say("building the graph")
+    return _to_building(plan, space, graph, region, measure, start, left_out)
+
+
+def _without_closets(
+    region: NDArray[np.int32],
+    openings: list[Opening],
+    measure: Regions,
+    is_room: NDArray[np.bool_],
+    settings: Settings,
+) -> tuple[NDArray[np.int32], list[Opening], int]:
+    """Leave out what is too small for a room, leads nowhere, and is no corridor."""
+    closet = (measure.exits == 1) & ~is_room & (measure.area_m2 < settings.smallest_room_m2)
+    closet &= measure.elongation < 3
+    if closet.sum() + 1 >= len(closet):
+        return region, openings, 0
+    kept = [o for o in openings if not closet[list(o.regions)].any()]
+    return np.where(closet[region], 0, region).astype(np.int32), kept, int(closet.sum())
+
+
+def _draw(
+    space: Space,
+    settings: Settings,
+    region: NDArray[np.int32],
+    openings: list[Opening],
+    is_room: NDArray[np.bool_],
+) -> PathGraph:
+    """The lines of the whole building: one graph for every region, tied together at the openings."""
+    from scipy import ndimage
+
+    # corridors that run into each other without a door are one: their skeleton should not break there
+    root = np.arange(len(is_room), dtype=np.int32)
+    for opening in openings:
+        a, b = (int(root[r]) for r in opening.regions)
+        if not opening.is_door and not is_room[a] and not is_room[b]:
+            root[root == max(a, b)] = min(a, b)
+    region = root[region]
+    ties = [o for o in openings if root[o.regions[0]] != root[o.regions[1]]]
+
+    whole = PathGraph()
+    tied: dict[tuple[int, int], int] = {}
+    for k, opening in enumerate(ties):
+        row, column = opening.pixel
+        role = "door" if opening.is_door else "path"
+        node = whole.add_node(Node((float(row), float(column)), opening.width_m / 2, role))
+        for r in opening.regions:
+            tied[k, int(root[r])] = node
+    near = {number: box for number, box in enumerate(ndimage.find_objects(region), start=1) if box is not None}
+    for number, box in near.items():
+        mine = [(k, o) for k, o in enumerate(ties) if number in (root[o.regions[0]], root[o.regions[1]])]
+        box = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in box)
+        mask = region[box] == number
+        corner = box[0].start, box[1].start
+        points = [(o.pixel[0] - corner[0], o.pixel[1] - corner[1]) for _, o in mine]
+        part, ends = _draw_region(
+            space, settings, mask, space.half_width_m[box], points, bool(is_room[number]), number, corner
+        )
+        _tie(whole, part, ends, [tied[k, number] for k, _ in mine])
+    _simplify(whole, space, settings)
+    return whole
+
+
+def _draw_region(
+    space: Space,
+    settings: Settings,
+    mask: NDArray[np.bool_],
+    half: NDArray[np.float32],
+    points: list[tuple[int, int]],
+    is_room: bool,
+    number: int,
+    corner: tuple[int, int],
+) -> tuple[PathGraph, list[tuple[int, Points]]]:
+    """The lines within one region, and for each of its openings the node and the line that leads there."""
+    if is_room:
+        centre = _centre(mask, half)
+        if _star_serves(np.array(points, float).reshape(-1, 2), np.array(centre, float), space.cell_m):
+            graph = PathGraph()
+            room = graph.add_node(
+                Node((float(centre[0] + corner[0]), float(centre[1] + corner[1])), float(half[centre]), "room", number)
+            )
+            lines = [_lead(mask, point, {centre}) + np.array(corner, float) for point in points]
+            return graph, [(room, line) for line in lines]
+    from skimage.morphology import skeletonize
+
+    pixels = skeletonize(mask)
+    graph = trace(pixels, half, owner=number)
+    graph.prune(_reaches_out(space, settings))
+    kept = _pixels(graph, mask.shape)
+    targets = {(int(r), int(c)) for r, c in np.argwhere(kept)}
+    wanted = list(points)
+    if is_room:
+        wanted.append(centre)
+    leads = [_lead(mask, point, targets) for point in wanted]
+    graph = trace(kept, half, {(int(line[-1][0]), int(line[-1][1])) for line in leads}, corner, number)
+    where = {node.at: number for number, node in graph.nodes.items()}
+    ends = []
+    for line in leads:
+        line = line + np.array(corner, float)
+        ends.append((where[float(line[-1][0]), float(line[-1][1])], line))
+    if is_room:
+        at, line = ends.pop()
+        node = graph.nodes[at]
+        if len(line) == 1 and node.role == "path":
+            node.role = "room"
+        else:
+            room = graph.add_node(Node((float(line[0][0]), float(line[0][1])), float(half[centre]), "room", number))
+            graph.add_edge(at, room, line[::-1])
+    return graph, ends
+
+
+def _centre(mask: NDArray[np.bool_], half: NDArray[np.float32]) -> tuple[int, int]:
+    """The free cell nearest to the middle of a region, a step away from its walls where that is near."""
+    cells = np.argwhere(mask)
+    roomy = cells[half[mask] >= 0.5 * half[mask].max()]
+    middle = cells.mean(axis=0)
+    row, column = roomy[np.argmin(((roomy - middle) ** 2).sum(axis=1))].tolist()
+    return row, column
+
+
+def _star_serves(points: Points, centre: Points, cell_m: float) -> bool:
+    """Whether ways through a room by its centre are hardly longer than the straight ones."""
+    if len(points) < 2:
+        return True
+    radius = np.hypot(*(points - centre).T)
+    straight = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+    detour = radius[:, None] + radius[None] - straight
+    np.fill_diagonal(detour, 0)
+    return bool((detour * cell_m <= 1.0 + 0.5 * straight * cell_m).all())
+
+
+def _lead(mask: NDArray[np.bool_], point: tuple[int, int], targets: set[tuple[int, int]]) -> Points:
+    """The shortest line of cells within ``mask`` from ``point`` to the nearest of ``targets``."""
+    from skimage.graph import MCP_Geometric
+
+    goal = np.array(sorted(targets))
+    nearest = goal[np.argmin(((goal - point) ** 2).sum(axis=1))]
+    straight = _straight(np.array(point), nearest)
+    inside = mask[tuple(straight[1:].T)]
+    if inside.all():
+        return straight.astype(float)
+    reach = int(2 * np.hypot(*(nearest - point))) + 10
+    while True:
+        low = np.maximum(0, np.array(point) - reach)
+        box = tuple(slice(int(s), int(p) + reach + 1) for s, p in zip(low, point, strict=True))
+        cost = np.where(mask[box], 1.0, -1.0)
+        start = tuple(int(v) for v in np.array(point) - low)
+        cost[start] = 1.0
+        ends = [e for e in (goal - low).tolist() if 0 <= e[0] < cost.shape[0] and 0 <= e[1] < cost.shape[1]]
+        search = MCP_Geometric(cost)
+        total, _ = search.find_costs([start], ends, find_all_ends=False)
+        costs = total[tuple(np.array(ends).T)]
+        if np.isfinite(costs).any():
+            return np.array(search.traceback(ends[int(np.argmin(costs))]), float) + low
+        if cost.shape == mask.shape:
+            return straight.astype(float)
+        reach *= 2
+
+
+def _straight(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    steps = int(np.abs(b - a).max())
+    t = np.linspace(0, 1, steps + 1)[:, None]
+    return np.rint(a + t * (b - a)).astype(np.int64)
+
+
+def _reaches_out(space: Space, settings: Settings) -> Callable[[float, Node, Node], bool]:
+    """Whether a dangling branch reaches far enough beyond the walls of the space that it leaves."""
+
+    def reaches_out(length: float, leaf: Node, stem: Node) -> bool:
+        beyond = length * space.cell_m + leaf.half - stem.half
+        return beyond >= max(settings.prune_m, 0.5 * stem.half)
+
+    return reaches_out
+
+
+def _pixels(graph: PathGraph, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    pixels = np.zeros(shape, bool)
+    for _, _, line in graph.edges.values():
+        pixels[tuple(line.astype(int).T)] = True
+    for node in graph.nodes.values():
+        pixels[int(node.at[0]), int(node.at[1])] = True
+    return pixels
+
+
+def _tie(whole: PathGraph, part: PathGraph, ends: list[tuple[int, Points]], doors: list[int]) -> None:
+    """Copy ``part`` into ``whole`` and join it to the openings."""
+    number = {old: whole.add_node(node) for old, node in part.nodes.items()}
+    for a, b, line in part.edges.values():
+        whole.add_edge(number[a], number[b], line)
+    for (node, line), door in zip(ends, doors, strict=True):
+        whole.add_edge(door, number[node], line)
+
+
+def _simplify(graph: PathGraph, space: Space, settings: Settings) -> None:
+    def near(a: Node, b: Node) -> float:
+        return max(settings.merge_m, 0.8 * max(a.half, b.half)) / space.cell_m
+
+    graph.prune(_reaches_out(space, settings))
+    graph.contract(near)
+    graph.prune(_reaches_out(space, settings))
+
+
+def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:
+    """Put a node of role "bend" or "corner" wherever a corridor turns."""
+    for edge in list(graph.edges):
+        a, b, line = graph.edges[edge]
+        corners = simplify(line, BEND_TOLERANCE_M / space.cell_m)
+        for k in range(len(corners) - 2, 0, -1):
+            before, here, after = (line[i] for i in corners[k - 1 : k + 2])
+            turn = _turn(before, here, after)
+            if turn < settings.bend_degrees:
+                continue
+            row, column = (int(v) for v in np.rint(here))
+            half = float(space.half_width_m[row, column])
+            room = max(settings.merge_m, half) / space.cell_m
+            if min(np.hypot(*(here - before)), np.hypot(*(after - here))) < room:
+                continue
+            role = "corner" if turn >= CORNER_DEGREES else "bend"
+            node = graph.split(edge, int(corners[k]), Node((float(here[0]), float(here[1])), half, role))
+            # the part before the new node is what the next corners lie on
+            edge = next(e for e in graph.incident[node] if graph.edges[e][1] == node and graph.edges[e][0] == a)
+        del b
+
+
+def _turn(before: Points, here: Points, after: Points) -> float:
+    """The angle (degrees) by which a line turns at ``here``."""
+    u, v = here - before, after - here
+    return float(abs(np.degrees(np.arctan2(u[0] * v[1] - u[1] * v[0], u @ v))))
+
+
+def _no_parallels(graph: PathGraph) -> None:
+    """Put a node of role "other" into one of two corridors between the same nodes, and two into a ring."""
+    seen: set[tuple[int, int]] = set()
+    for edge in sorted(graph.edges):
+        a, b, line = graph.edges[edge]
+        pair = (min(a, b), max(a, b))
+        if a == b:
+            cuts = [2 * len(line) // 3, len(line) // 3]
+        elif pair in seen:
+            cuts = [len(line) // 2]
+        else:
+            cuts = []
+        seen.add(pair)
+        for cut in cuts:
+            at = (float(line[cut][0]), float(line[cut][1]))
+            node = graph.split(edge, cut, Node(at, 0.0, "other"))
+            edge = min(graph.incident[node])  # the first part: splitting numbers it first
+
+
+def _to_building(
+    plan: Plan,
+    space: Space,
+    graph: PathGraph,
+    region: NDArray[np.int32],
+    measure: Regions,
+    start: tuple[float, float] | int | None,
+    left_out: int,
+) -> tuple[Building, list[str]]:
+    kinds = {"room": (ROOM, NONE), "path": (INTERSECTION, NONE), "door": (FEATURE, DOOR)}
+    kinds |= {"bend": (FEATURE, BEND), "corner": (FEATURE, CORNER), "other": (FEATURE, OTHER)}
+    if len(graph.nodes) < 2:
+        raise TaskliftError(
+            f"{plan.name}: the free space is a single room without doors; a building needs two nodes at least"
+        )
+    obstacles = _obstacles(space, region)
+    order = sorted(graph.nodes, key=lambda n: (kinds[graph.nodes[n].role], graph.nodes[n].at))
+    number = {node: i for i, node in enumerate(order)}
+    nodes = [graph.nodes[n] for n in order]
+    cells = np.array([node.at for node in nodes])
+    position = np.round(plan.to_world(*space.to_plan(cells).T), 3)
+    room = [node.owner if node.role == "room" else 0 for node in nodes]
+    edges, lengths, widths = [], [], []
+    for a, b, line in graph.edges.values():
+        edges.append((number[a], number[b]))
+        straight = line[simplify(line, STRAIGHTEN_M / space.cell_m)]
+        lengths.append(max(round(line_length(straight) * space.cell_m, 3), space.cell_m))
+        along = space.half_width_m[tuple(np.rint(line).astype(int).T)]
+        widths.append(max(round(2 * float(np.median(along)), 3), 2 * space.cell_m))
+    kind = np.array([kinds[node.role][0] for node in nodes], np.int8)
+    building = Building(
+        name=plan.name,
+        kind=kind,
+        feature_class=np.array([kinds[node.role][1] for node in nodes], np.int8),
+        position_m=position,
+        area_m2=np.round(measure.area_m2[room], 2) * (kind == ROOM),
+        obstacles=obstacles[room] * (kind == ROOM),
+        edges=np.array(edges, np.int64),
+        length_m=np.array(lengths),
+        width_m=np.array(widths),
+        start=choose_start(plan.name, kind, position, start),
+        provenance={"source": plan.name, "resolution_m": plan.resolution_m},
+    )
+    doubts = [*plan.doubts, *space.doubts]
+    if left_out:
+        doubts.append(f"{left_out} closets too small for a room were left out")
+    return building, doubts
+
+
+def choose_start(
+    name: str, kind: NDArray[np.int8], position: Points, start: tuple[float, float] | int | None
+) -> int:
+    """The node where the robots begin: the one asked for, or the room nearest to a point.
+
+    Without a point it is the bottom centre, as in the paper's Figure 3. Without rooms any node serves.
+    """
+    if isinstance(start, int):
+        if not 0 <= start < len(kind):
+            raise TaskliftError(f"{name}: start node {start} does not exist; nodes are 0 to {len(kind) - 1}")
+        return start
+    low, high = position.min(axis=0), position.max(axis=0)
+    point = np.array([(low[0] + high[0]) / 2, low[1]]) if start is None else np.array(start, float)
+    among = np.flatnonzero(kind == ROOM) if (kind == ROOM).any() else np.arange(len(kind))
+    return int(among[np.argmin(np.hypot(*(position[among] - point).T))])
+
+
+def _obstacles(space: Space, region: NDArray[np.int32]) -> NDArray[np.int64]:
+    """How many obstacles stand in each region: islands closer to each other than half a metre count as one."""
+    from scipy import ndimage
+
+    n = int(region.max()) + 1
+    near = ndimage.binary_dilation(space.filled, iterations=max(1, round(0.25 / space.cell_m)))
+    label, count = ndimage.label(near & (region > 0), structure=np.ones((3, 3), bool))
+    found = np.zeros(n, np.int64)
+    if count:
+        owner: Any = ndimage.maximum(region * (label > 0), label, np.arange(1, count + 1))
+        found += np.bincount(np.asarray(owner, np.int64), minlength=n)[:n]
+    return found

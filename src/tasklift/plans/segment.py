@@ -1,0 +1,427 @@
+"""From the pixels of a plan to its spaces: clean, choose the building, divide at the narrow places.
+
+Distances are in metres, pixels are square cells of ``cell_m``. ``R`` is the distance of a free pixel to the
+nearest wall: half the width of the space there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.errors import TaskliftError
+from tasklift.plans.ros import Plan
+
+_EIGHT = np.ones((3, 3), bool)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the extraction goes by; one setting serves all maps.
+
+    Attributes
+    ----------
+    cell_m
+        Finer pictures are made coarser, up to this size of a pixel.
+    opening_m
+        Passages narrower than twice this are closed: beams of a laser scanner are no corridors.
+    speckle_m, furniture_m
+        Islands in free space whose extent is smaller are scanner noise, and furniture; they are counted as
+        obstacles, and not gone around.
+    door_ratio
+        A narrow place divides two spaces if it is narrower than both, close by, by this factor.
+    mouth_ratio
+        It also divides them if it is narrower than the wider of them by this factor: a corridor that opens
+        into a hall without a door frame.
+    door_width_m
+        No door is wider. With ``door_rule`` "absolute", every narrow place below it divides.
+    smallest_room_m2, room_half_width_m, room_elongation
+        A space is a room if it has this area, is at some place twice this wide, and is at most so many times
+        longer than wide; otherwise it is a corridor.
+    prune_m
+        A branch of a corridor that reaches less than this beyond the wall is a niche, no branch.
+    merge_m
+        Junctions closer to each other are one.
+    """
+
+    cell_m: float = 0.05
+    opening_m: float = 0.2
+    speckle_m: float = 0.8
+    furniture_m: float = 2.0
+    door_rule: str = "relative"
+    door_ratio: float = 0.75
+    mouth_ratio: float = 0.6
+    near_m: float = 1.0
+    door_width_m: float = 2.2
+    smallest_room_m2: float = 4.0
+    room_half_width_m: float = 0.7
+    room_elongation: float = 3.5
+    prune_m: float = 0.5
+    merge_m: float = 1.0
+    bend_degrees: float = 35.0
+
+
+@dataclass(eq=False)
+class Space:
+    """The free space of one building. All arrays ``(H, W)``; row, column + ``corner`` are the plan's cells."""
+
+    free: NDArray[np.bool_]
+    half_width_m: NDArray[np.float32]
+    filled: NDArray[np.bool_]
+    cell_m: float
+    factor: int
+    corner: tuple[int, int]
+    doubts: list[str] = field(default_factory=list)
+
+    def to_plan(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rows and columns of the plan, in its pixels, of points ``(n, 2)`` given in cells."""
+        return (np.asarray(points, float) + 0.5 + self.corner) * self.factor
+
+
+@dataclass(eq=False)
+class Opening:
+    """A narrow place between two regions: where it is (cells), how wide (m), whether it is a door."""
+
+    pixel: tuple[int, int]
+    regions: tuple[int, int]
+    width_m: float
+    is_door: bool
+
+
+def clean(plan: Plan, settings: Settings, seed_pixel: tuple[float, float] | None = None) -> Space:
+    """Return the free space of the building in ``plan``, without noise, beams, furniture, and the outdoors.
+
+    Raises
+    ------
+    TaskliftError
+        If the plan holds no free space, or the seed point is not on any.
+    """
+    from scipy import ndimage
+
+    doubts: list[str] = []
+    factor = max(1, int(settings.cell_m / plan.resolution_m + 1e-6))
+    cell = plan.resolution_m * factor
+    free = _coarser(plan.free, factor)
+    if not free.any():
+        raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
+    free = np.pad(free, 1)
+    filled = _fill_islands(free, settings.speckle_m / cell)
+    free = free | filled
+    radius = settings.opening_m / cell
+    core = ndimage.distance_transform_edt(free) > radius
+    if not core.any():
+        raise TaskliftError(
+            f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right?"
+        )
+    opened = ndimage.distance_transform_edt(~core) <= radius
+    seed = None if seed_pixel is None else tuple(int(v / factor) + 1 for v in seed_pixel)
+    chosen = _choose(plan.name, opened, cell, seed, doubts)
+    rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
+    box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
+    chosen, filled = chosen[box], filled[box]
+    furniture = _fill_islands(chosen, settings.furniture_m / cell)
+    filled = (filled | furniture) & (chosen | furniture)
+    chosen = chosen | furniture
+    half = (ndimage.distance_transform_edt(chosen) * cell).astype(np.float32)
+    corner = int(rows[0]) - 2, int(columns[0]) - 2
+    return Space(chosen, half, filled, cell, factor, corner, doubts)
+
+
+def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
+    """One cell per ``factor`` x ``factor`` pixels, free if all of them are: walls never vanish."""
+    if factor == 1:
+        return free
+    height, width = (-(-n // factor) * factor for n in free.shape)
+    padded = np.zeros((height, width), bool)
+    padded[: free.shape[0], : free.shape[1]] = free
+    return padded.reshape(height // factor, factor, width // factor, factor).all(axis=(1, 3))
+
+
+def _fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
+    """The pieces of ``~free`` that are smaller than ``extent`` cells either way and do not touch the edge.
+
+    By extent and not by area, which would also take wall stubs.
+    """
+    from scipy import ndimage
+
+    label, n = ndimage.label(~free, structure=_EIGHT)
+    small = np.zeros(n + 1, bool)
+    for i, (rows, columns) in enumerate(ndimage.find_objects(label), start=1):
+        inside = rows.start > 0 and columns.start > 0
+        inside = inside and rows.stop < free.shape[0] and columns.stop < free.shape[1]
+        small[i] = inside and max(rows.stop - rows.start, columns.stop - columns.start) < extent
+    return small[label]
+
+
+def _choose(
+    name: str, opened: NDArray[np.bool_], cell: float, seed: tuple[int, ...] | None, doubts: list[str]
+) -> NDArray[np.bool_]:
+    """The piece of free space with the seed in it, or the largest that is not the outdoors."""
+    from scipy import ndimage
+
+    label, n = ndimage.label(opened)
+    area = np.bincount(label.ravel(), minlength=n + 1) * cell**2
+    area[0] = 0
+    if seed is not None:
+        if not all(0 <= v < m for v, m in zip(seed, label.shape, strict=True)) or not label[seed]:
+            raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
+        return label == label[seed]
+    # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
+    edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
+    outdoors = np.bincount(edge, minlength=n + 1) > 0.25 * len(edge)
+    outdoors[0] = False
+    bounded = np.where(outdoors, 0, area)
+    best = int(np.argmax(bounded)) if bounded.max() > 0 else int(np.argmax(area))
+    if outdoors[best]:
+        doubts.append("the free space runs along the picture's edge: is the outdoors taken for the building?")
+    elif outdoors.any():
+        doubts.append(f"{area[outdoors].sum():.0f} m² along the picture's edge were taken for the outdoors")
+    others = [float(a) for i, a in enumerate(area) if i != best and not outdoors[i] and a >= 4.0]
+    if others:
+        doubts.append(
+            f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
+            f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
+        )
+    return label == best
+
+
+def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening]]:
+    """Divide the free space at its narrow places.
+
+    Every pixel climbs to the top of the ``R`` around it; tops whose pass is hardly lower than they are belong
+    together. What stays apart are the regions.
+
+    Returns
+    -------
+    tuple
+        Regions ``int32 (H, W)``, from 1 on, 0 where not free; and the openings between them.
+    """
+    half = space.half_width_m
+    top = _climb(half)
+    basin, peak = _number_tops(top, half)
+    a, b, height, where = _passes(basin, half)
+    joined = height >= 0.95 * np.maximum(peak[a], peak[b])
+    group = _join(len(peak), a[joined], b[joined])
+    basin = group[basin]
+    merged_peak = np.zeros(group.max() + 1, np.float32)
+    np.maximum.at(merged_peak, group, peak)
+    a, b, height, where = _passes(basin, half)
+    root = _merge(space, settings, basin, merged_peak, (a, b, height, where))
+    region = _tidy(space, settings, root[basin])
+    return region, _openings(space, settings, region)
+
+
+def _climb(half: NDArray[np.float32]) -> NDArray[np.int64]:
+    """For every pixel the flat index of the local maximum of ``half`` that steepest ascent leads to."""
+    height, width = half.shape
+    index = np.arange(half.size, dtype=np.int64).reshape(half.shape)
+    best = half.copy()
+    target = index.copy()
+    for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)):
+        rows = slice(max(0, -dr), height - max(0, dr)), slice(max(0, dr), height - max(0, -dr))
+        columns = slice(max(0, -dc), width - max(0, dc)), slice(max(0, dc), width - max(0, -dc))
+        here, there = (rows[0], columns[0]), (rows[1], columns[1])
+        higher = half[there] > best[here]
+        best[here][higher] = half[there][higher]
+        target[here][higher] = index[there][higher]
+    flat = target.ravel()
+    while True:
+        further = flat[flat]
+        if np.array_equal(further, flat):
+            return flat.reshape(half.shape)
+        flat = further
+
+
+def _number_tops(
+    top: NDArray[np.int64], half: NDArray[np.float32]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Number the tops from 1; 0 is what is not free. Returns the numbers and the height of each top."""
+    tops = np.flatnonzero((top.ravel() == np.arange(top.size)) & (half.ravel() > 0))
+    number = np.zeros(top.size, np.int32)
+    number[tops] = np.arange(1, len(tops) + 1)
+    basin = np.where(half > 0, number[top], 0)
+    return basin.astype(np.int32), np.concatenate([[0], half.ravel()[tops]]).astype(np.float32)
+
+
+def _passes(
+    label: NDArray[np.int32], half: NDArray[np.float32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]]:
+    """The highest pass between each two neighbouring labels: ``(a, b, height, flat index)``, a < b."""
+    width = label.shape[1]
+    found = []
+    flat, r = label.ravel(), half.ravel()
+    for step in (1, width):
+        i = np.flatnonzero((flat[:-step] != flat[step:]) & (flat[:-step] > 0) & (flat[step:] > 0))
+        found.append((i, i + step))
+    i, j = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    low, high = np.minimum(flat[i], flat[j]).astype(np.int64), np.maximum(flat[i], flat[j]).astype(np.int64)
+    height = np.minimum(r[i], r[j])
+    order = np.lexsort((-height, high, low))
+    low, high, height, i = low[order], high[order], height[order], i[order]
+    first = np.ones(len(low), bool)
+    first[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
+    return low[first], high[first], height[first], i[first]
+
+
+def _join(n: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Number of the connected group of each of ``n`` labels; label 0 keeps 0."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(a), bool), (a, b)), shape=(n, n))
+    group = connected_components(graph, directed=False)[1].astype(np.int32)
+    _, group = np.unique(np.where(np.arange(n) == 0, -1, group), return_inverse=True)
+    return group.astype(np.int32)
+
+
+def _merge(
+    space: Space,
+    settings: Settings,
+    basin: NDArray[np.int32],
+    peak: NDArray[np.float32],
+    passes: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]],
+) -> NDArray[np.int32]:
+    """Join neighbouring basins over their passes, widest first, unless the pass is a narrow place."""
+    half = space.half_width_m
+    root = np.arange(len(peak), dtype=np.int32)
+    peak = peak.copy()
+    reach = int(np.ceil(settings.near_m / space.cell_m))
+    width = half.shape[1]
+    for k in np.argsort(-passes[2], kind="stable"):
+        p, q = root[passes[0][k]], root[passes[1][k]]
+        if p == q:
+            continue
+        height = passes[2][k]
+        if settings.door_rule == "absolute":
+            apart = 2 * height < settings.door_width_m and height < 0.95 * min(peak[p], peak[q])
+        else:
+            near = _near(half, root, basin, divmod(int(passes[3][k]), width), (p, q), reach)
+            apart = height < settings.door_ratio * near
+            apart = apart or height < settings.mouth_ratio * max(peak[p], peak[q])
+        if not apart:
+            root[root == q] = p
+            peak[p] = max(peak[p], peak[q])
+    _, root = np.unique(root, return_inverse=True)
+    return root.astype(np.int32)
+
+
+def _near(
+    half: NDArray[np.float32],
+    root: NDArray[np.int32],
+    basin: NDArray[np.int32],
+    pixel: tuple[int, int],
+    sides: tuple[int, int],
+    reach: int,
+) -> float:
+    """The smaller of the two greatest values of ``half`` on either side of a pass, within ``reach`` of it."""
+    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in pixel)
+    owner = root[basin[box]]
+    return min(float(half[box][owner == side].max(initial=0)) for side in sides)
+
+
+def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Join what is no space of its own to its neighbour: slivers, bays, and the two ways around a table."""
+    while True:
+        openings = _openings(space, settings, region)
+        measure = measure_regions(space, region, openings)
+        root = np.arange(len(measure.area_m2), dtype=np.int32)
+        mouths: dict[tuple[int, int], int] = {}
+        exits = np.zeros(len(root), np.int64)
+        for opening in openings:
+            mouths[opening.regions] = mouths.get(opening.regions, 0) + (not opening.is_door)
+            exits[list(opening.regions)] += 1
+        touched: set[int] = set()
+        for opening in sorted(openings, key=lambda o: -o.width_m):
+            a, b = sorted(opening.regions, key=lambda r: (measure.area_m2[r], r))  # a is the smaller one
+            if opening.is_door and measure.area_m2[a] >= settings.smallest_room_m2 / 2:
+                continue
+            overflows = measure.elongation[a] < 0.8  # its own largest circle reaches into the neighbours
+            tiny = measure.area_m2[a] < settings.smallest_room_m2 / 2
+            bay = (
+                exits[a] == 1
+                and measure.area_m2[a] < 0.25 * measure.area_m2[b]
+                and measure.elongation[a] < 2
+                and opening.width_m > 1.5 * measure.peak_m[a]
+            )
+            around = mouths[opening.regions] > 1
+            if (overflows or tiny or bay or around) and not touched & {a, b}:
+                root[a] = b
+                touched |= {a, b}
+        if not touched:
+            return region
+        _, root = np.unique(root, return_inverse=True)
+        region = root.astype(np.int32)[region]
+
+
+@dataclass(eq=False)
+class Regions:
+    """What is known of each region; row 0 is what is not free. All arrays ``(regions + 1,)``.
+
+    ``elongation`` is the area over that of the square around the largest circle in it: about how many times it
+    is longer than wide. ``openness`` is the share of its border that is open without being a door, were it a
+    square; ``exits`` the number of its openings.
+    """
+
+    area_m2: NDArray[np.float64]
+    peak_m: NDArray[np.float64]
+    elongation: NDArray[np.float64]
+    openness: NDArray[np.float64]
+    exits: NDArray[np.int64]
+
+    def rooms(self, settings: Settings) -> NDArray[np.bool_]:
+        """Which regions are rooms; the others are corridors."""
+        longest = np.where(self.exits <= 1, 4.0, np.minimum(4.0, 2 * self.peak_m))
+        return (
+            (self.area_m2 >= settings.smallest_room_m2)
+            & (self.peak_m >= settings.room_half_width_m)
+            & (self.openness <= 0.25)
+            & (self.elongation <= longest)
+        )
+
+
+def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Opening]) -> Regions:
+    """Area, half width, elongation, openness and number of exits of every region."""
+    from scipy import ndimage
+
+    n = int(region.max()) + 1
+    area = np.bincount(region.ravel(), minlength=n) * space.cell_m**2
+    peak = np.asarray(ndimage.maximum(space.half_width_m, region, np.arange(n)), float)
+    area[0], peak[0] = 0, 1
+    open_m, exits = np.zeros(n), np.zeros(n, np.int64)
+    for opening in openings:
+        for r in opening.regions:
+            exits[r] += 1
+            open_m[r] += 0 if opening.is_door else opening.width_m
+    return Regions(area, peak, area / (2 * peak) ** 2, open_m / np.maximum(4 * np.sqrt(area), 1e-9), exits)
+
+
+def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> list[Opening]:
+    """One opening for every connected stretch of border between two regions."""
+    from scipy import ndimage
+
+    border: dict[tuple[int, int], list[int]] = {}
+    width = region.shape[1]
+    reach = int(np.ceil(settings.near_m / space.cell_m))
+    same = np.arange(region.max() + 1, dtype=np.int32)
+    flat, half = region.ravel(), space.half_width_m.ravel()
+    for step in (1, width):
+        for i in np.flatnonzero((flat[:-step] != flat[step:]) & (flat[:-step] > 0) & (flat[step:] > 0)).tolist():
+            pair = (int(flat[i]), int(flat[i + step]))
+            border.setdefault((min(pair), max(pair)), []).extend((i, i + step))
+    found = []
+    for pair, pixels in sorted(border.items()):
+        rows, columns = np.divmod(np.unique(pixels), width)
+        patch = np.zeros((np.ptp(rows) + 1, np.ptp(columns) + 1), bool)
+        patch[rows - rows.min(), columns - columns.min()] = True
+        stretch = ndimage.label(patch, structure=_EIGHT)[0][rows - rows.min(), columns - columns.min()]
+        for s in range(1, stretch.max() + 1):
+            r, c = rows[stretch == s], columns[stretch == s]
+            best = int(np.argmax(half[r * width + c]))
+            pixel = int(r[best]), int(c[best])
+            opening = 2 * float(half[r[best] * width + c[best]])
+            near = _near(space.half_width_m, same, region, pixel, pair, reach)
+            is_door = opening < min(settings.door_width_m, 2 * settings.door_ratio * near)
+            found.append(Opening(pixel, pair, opening, is_door))
+    return found

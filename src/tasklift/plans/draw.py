@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 # Dark to light in print as well; red and green differ in lightness for colour-blind readers
 _INK, _WALL, _CORRIDOR, _ROOM, _GROUND = "#22262e", "#3b414d", "#ffffff", "#f3e7cf", "#e9ecf0"
+_SMALLEST_ROOM_M = 1.2
 _FEATURE, _EDGE, _DOOR, _START, _HOSTILE = "#9aa1ac", "#6b7280", "#b45309", "#15803d", "#b91c1c"
 
 
@@ -29,24 +30,31 @@ def footprints(building: Building) -> dict[int, Any]:
     """Return the floor of every room: a shapely polygon by node.
 
     Generated buildings carry their rooms' rectangles (m) in the provenance. Elsewhere a room is a square of
-    its area around its node, turned to its corridor and moved away if it would swallow the next node.
+    its area around its node, turned to its corridor; smaller where that would cover the next node, another
+    room or a corridor.
     """
     import shapely
 
     known = building.provenance.get("footprints")
     found: dict[int, Any] = {}
-    for room in np.flatnonzero(building.kind == ROOM).tolist():
+    rooms = np.flatnonzero(building.kind == ROOM)
+    lines = shapely.linestrings(building.position_m[building.edges])
+    for room in rooms.tolist():
         box = known.get(str(room)) if isinstance(known, dict) else None
         if isinstance(box, list) and len(box) == 4 and all(isinstance(v, int | float) for v in box):
             found[room] = shapely.box(*box)
             continue
         here = building.position_m[room]
-        half = math.sqrt(building.area_m2[room]) / 2
-        offset = here - building.position_m[building.neighbour[building.indptr[room]]]
-        distance = float(np.hypot(*offset))
-        ahead = offset / distance if distance > 0 else np.array([1.0, 0.0])
-        if building.degree[room] == 1:
-            here = here + ahead * max(0.0, half + 0.5 - distance)
+        beside = building.neighbour[building.indptr[room] : building.indptr[room + 1]]
+        offsets = here - building.position_m[beside]
+        near = offsets[np.hypot(*offsets.T).argmin()]
+        distance = float(np.hypot(*near))
+        foreign = ~np.isin(building.edges, [room, *beside]).any(axis=1)
+        corridors = shapely.distance(shapely.Point(here), lines[foreign]) - building.width_m[foreign] / 2
+        others = np.hypot(*(building.position_m[rooms[rooms != room]] - here).T) * 0.48
+        limit = min([distance, *corridors, *others])
+        half = min(math.sqrt(building.area_m2[room]) / 2, max(_SMALLEST_ROOM_M / 2, limit))
+        ahead = near / distance if distance > 0 else np.array([1.0, 0.0])
         aside = np.array([-ahead[1], ahead[0]])
         corners = [here + half * (i * ahead + j * aside) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         found[room] = shapely.Polygon(corners)
@@ -117,10 +125,11 @@ def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend
     ax.add_patch(
         _patch(floor, facecolor=_CORRIDOR, edgecolor=_WALL, linewidth=1.6, joinstyle="round", zorder=1)
     )
+    everywhere = shapely.union_all(list(rooms.values()))
     for room in rooms.values():
-        # A room's wall stops where a corridor enters it
         ax.add_patch(_patch(room, facecolor=_ROOM, edgecolor="none", zorder=2))
-        wall = room.exterior.difference(corridors.buffer(1e-6))
+        # A room's wall stops where a corridor enters, and where another room covers it
+        wall = room.exterior.intersection(everywhere.boundary).difference(corridors.buffer(1e-6))
         for line in getattr(wall, "geoms", [wall]):
             ax.plot(*line.xy, color=_WALL, linewidth=1.3, solid_capstyle="butt", zorder=3)
     doors = np.flatnonzero(building.feature_class == DOOR).tolist()
@@ -132,7 +141,7 @@ def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend
     start = building.position_m[building.start]
     ax.plot(*start, marker="*", markersize=12, color=_START, markeredgecolor="white", zorder=6)
     ax.plot(*building.position_m[nodes].T, **_hostile_style(), markersize=8, zorder=7)
-    _finish(ax, building, [np.asarray(room.exterior.coords) for room in rooms.values()])
+    _finish(ax, building, rooms)
     if legend:
         handles: list[Any] = [
             Patch(facecolor=_CORRIDOR, edgecolor=_WALL, label="corridor"),
@@ -202,20 +211,30 @@ def draw_graph(building: Building, ax: Axes, hostiles: Iterable[int] = (), legen
     ax.plot(*building.position_m[nodes].T, **_hostile_style(), markersize=size * 1.2, zorder=5)
     if nodes:
         handles.append(Line2D([], [], **_hostile_style(), markersize=7, label="hostile"))
-    _finish(ax, building, [])
+    _finish(ax, building, footprints(building))
     if legend:
         _legend(ax, handles)
 
 
 def figure(building: Building, hostiles: Iterable[int] = ()) -> Figure:
-    """Return a figure with the plan on the left and the graph on the right; ``.savefig(path)`` writes it."""
+    """Return a figure with the plan and the graph side by side, or one above the other if it is wide.
+
+    ``figure(building).savefig(path)`` writes it, in any format that matplotlib knows.
+    """
     from matplotlib.figure import Figure
 
     hostiles = list(hostiles)
-    drawn = Figure(figsize=(11, 5.6), layout="constrained")
-    left, right = drawn.subplots(1, 2, sharex=True, sharey=True)
-    draw_plan(building, left, hostiles)
-    draw_graph(building, right, hostiles)
+    low, high = _bounds(building, footprints(building))
+    width, height = high - low
+    wide = width > 1.8 * height
+    across = 9.0 if wide else 5.5
+    panel = (
+        float(np.clip(1.12 * across * height / width, 1.5, 9.0)) + 0.4
+    )  # with the scale bar and the legend
+    drawn = Figure(figsize=(across, 2 * panel) if wide else (2 * across, panel), layout="constrained")
+    first, second = drawn.subplots(2, 1) if wide else drawn.subplots(1, 2)
+    draw_plan(building, first, hostiles)
+    draw_graph(building, second, hostiles)
     return drawn
 
 
@@ -263,10 +282,16 @@ def _patch(geometry: Any, **style: Any) -> Any:
     return PathPatch(Path.make_compound_path(*rings), **style)
 
 
-def _finish(ax: Axes, building: Building, extra: list[NDArray[np.float64]]) -> None:
+def _bounds(building: Building, rooms: dict[int, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    points = np.concatenate(
+        [building.outline_m, *(np.asarray(room.exterior.coords) for room in rooms.values())]
+    )
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _finish(ax: Axes, building: Building, rooms: dict[int, Any]) -> None:
     """Frame everything, equal aspect, and draw a scale bar of a round length in the lower left corner."""
-    points = np.concatenate([building.outline_m, building.position_m, *extra])
-    (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+    (x0, y0), (x1, y1) = _bounds(building, rooms)
     extent = max(x1 - x0, y1 - y0)
     rough = max(extent / 5, 1e-3)
     unit = 10.0 ** math.floor(math.log10(rough))

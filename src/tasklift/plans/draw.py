@@ -121,15 +121,15 @@ def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend
     rooms = footprints(building)
     corridors = corridor_floor(building)
     ax.add_patch(_patch(shapely.Polygon(building.outline_m), facecolor=_GROUND, edgecolor="none", zorder=0))
-    floor = shapely.union_all([corridors, *rooms.values()])
+    floor = shapely.union_all([corridors, *rooms.values()], grid_size=0.001)
     ax.add_patch(
         _patch(floor, facecolor=_CORRIDOR, edgecolor=_WALL, linewidth=1.6, joinstyle="round", zorder=1)
     )
-    everywhere = shapely.union_all(list(rooms.values()))
+    # Where a wall would cross a corridor or the inside of another room
+    inside = shapely.union_all([corridors, shapely.union_all(list(rooms.values()), grid_size=0.001).buffer(-0.01)])
     for room in rooms.values():
         ax.add_patch(_patch(room, facecolor=_ROOM, edgecolor="none", zorder=2))
-        # A room's wall stops where a corridor enters, and where another room covers it
-        wall = room.exterior.intersection(everywhere.boundary).difference(corridors.buffer(1e-6))
+        wall = room.exterior.difference(inside)
         for line in getattr(wall, "geoms", [wall]):
             ax.plot(*line.xy, color=_WALL, linewidth=1.3, solid_capstyle="butt", zorder=3)
     doors = np.flatnonzero(building.feature_class == DOOR).tolist()

@@ -126,7 +126,8 @@ def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend
         _patch(floor, facecolor=_CORRIDOR, edgecolor=_WALL, linewidth=1.6, joinstyle="round", zorder=1)
     )
     # Where a wall would cross a corridor or the inside of another room
-    inside = shapely.union_all([corridors, shapely.union_all(list(rooms.values()), grid_size=0.001).buffer(-0.01)])
+    all_rooms = shapely.union_all(list(rooms.values()), grid_size=0.001)
+    inside = shapely.union_all([corridors, all_rooms.buffer(-0.01)], grid_size=0.001)
     for room in rooms.values():
         ax.add_patch(_patch(room, facecolor=_ROOM, edgecolor="none", zorder=2))
         wall = room.exterior.difference(inside)

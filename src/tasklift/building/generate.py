@@ -70,9 +70,9 @@ def generate(
         nodes and ``corridors + rooms + features`` edges. Bends (37° to 53°) and corners (62° to 80°) do turn;
         where there is no place for one, the feature is an "other".
     doors
-        Features that are doors. ``None``: one at every room and a fifth of the remaining features, at least 5
-        if there are as many features. The rooms come first; with less than 5 doors the start stays without,
-        as long as others have a place for one, since no hostile may stand next to the start.
+        Features that are doors. ``None``: a quarter of the features, at least 4 if there are as many: the
+        four classes are equally common. Doors stand in corridors and at rooms alike, in proportion to their
+        numbers; the start's own room is the last to get one, since no hostile may stand next to the start.
     seed
         A whole number, at least 0.
     name
@@ -136,7 +136,7 @@ def _check(
             f"ask for at least {doors} features"
         )
     if doors is None:
-        doors = min(features, max(5, rooms + round((features - rooms) / 5)))
+        doors = min(features, max(4, round(features / 4)))
     at_links = min(doors, rooms)
     most = FEATURES_PER_CORRIDOR * corridors + at_links
     if features > most:
@@ -231,11 +231,10 @@ class _Plan:
             self.position.append((round((x0 + x1) / 2, 3), round((y0 + y1) / 2, 3)))
 
     def add_features(self, features: int, doors: int, rng: np.random.Generator) -> None:
-        """Put doors on the links, then bends and corners where there is room, then the rest anywhere."""
+        """Put doors at rooms, then bends and corners where there is room, then the rest anywhere."""
         rooms, corridors = len(self.links), len(self.chains)
-        at_links = min(doors, rooms)
-        if doors < 5 and features - min(doors, rooms - 1) <= FEATURES_PER_CORRIDOR * corridors:
-            at_links = min(doors, rooms - 1)
+        fair = round(doors * rooms / (rooms + corridors))
+        at_links = min(doors, rooms, max(fair, features - FEATURES_PER_CORRIDOR * corridors))
         for i in [*range(1, rooms), 0][:at_links]:
             (x, y), (dx, dy) = self.position[self.holder[i]], STEP[self.way[i]]
             self._insert(self.links[i], 1, (x + dx * _FRONT, y + dy * _FRONT), DOOR)

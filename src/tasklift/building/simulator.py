@@ -324,6 +324,10 @@ class Simulator:
             frames.append(_frame(lane))
         return Trace(
             mission=self.mission,
+            task=policy.task,
+            learner=learner,
+            seed=seed,
+            trial=trial,
             success=state == 1,
             weights=np.array(policy.weights, np.float64),
             **{name: np.stack([frame[name] for frame in frames]) for name in frames[0]},
@@ -338,6 +342,10 @@ class Trace:
     ----------
     mission
         Where it happened.
+    task, learner
+        What was learned, and the compiled rules by which the weights changed.
+    seed, trial
+        The random key, with the stage.
     success
         How it ended.
     weights
@@ -349,6 +357,8 @@ class Trace:
         ``team``.
     hostile, resolved
         ``bool (F, N)``: where a hostile stands; which features are resolved.
+    failed
+        ``bool (F, N)``: where an attack failed in this step.
     unsearched
         ``int64 (F, N)``: steps of search left in each room.
     visited
@@ -358,11 +368,16 @@ class Trace:
     """
 
     mission: Mission
+    task: Task
+    learner: kernel.Learner
+    seed: int
+    trial: int
     success: bool
     weights: NDArray[np.float64]
     robots: NDArray[Any]
     hostile: NDArray[np.bool_]
     resolved: NDArray[np.bool_]
+    failed: NDArray[np.bool_]
     unsearched: NDArray[np.int64]
     visited: NDArray[np.bool_]
     messages: NDArray[np.int64]
@@ -379,6 +394,7 @@ def _frame(lane: kernel.Lane) -> dict[str, Any]:
         "robots": lane.robots.copy(),
         "hostile": lane.sites["hostile"] == 1,
         "resolved": lane.sites["resolved"] == 1,
+        "failed": lane.sites["failed"] == lane.count["tick"][0],
         "unsearched": lane.sites["unsearched"].copy(),
         "visited": lane.visited == 1,
         "messages": lane.count["messages"][0],

@@ -96,7 +96,8 @@ class Outcomes:
     Parameters
     ----------
     steps
-        int64 (n,): how many steps each took; ``limit`` for one that failed.
+        int64 (n,): how many steps each took, as the world counts them (the building search counts a failed
+        trial as ``limit``, a world met step by step counts the steps that were done).
     success
         bool (n,).
     losses
@@ -213,7 +214,7 @@ def sweep_curve(
     max_losses: int | None = None,
 ) -> Curve:
     """Do what :func:`sweep` does, and return the outcome of every trial as well."""
-    _whole(repeats, "sweep, repeats", at_least=1)
+    whole_number(repeats, "sweep, repeats", at_least=1)
     start = Policy.equal(task, reinforcement.initial_weight) if initial is None else initial
     if start.task.difference(task) is not None:
         raise TaskliftError(f"sweep: the initial policy is of another task: {start.task.difference(task)}")
@@ -264,11 +265,11 @@ def _trials(
     reinforcement: Reinforcement,
     max_losses: int | None,
 ) -> Curve:
-    _whole(trials, f"{how}, trials", at_least=0)
-    _whole(seed, f"{how}, seed", at_least=0)
-    _whole(first_trial, f"{how}, first_trial", at_least=0)
+    whole_number(trials, f"{how}, trials", at_least=0)
+    whole_number(seed, f"{how}, seed", at_least=0)
+    whole_number(first_trial, f"{how}, first_trial", at_least=0)
     if max_losses is not None:
-        _whole(max_losses, f"{how}, max_losses", at_least=1)
+        whole_number(max_losses, f"{how}, max_losses", at_least=1)
     if start.kind != "weight":
         raise TaskliftError(f"{how}: expected a policy of weights, found one of {start.kind}s")
     weights = start.weights.copy()
@@ -299,6 +300,7 @@ def _trials(
     return Curve(Policy(start.task, weights, provenance, start.kind, start.carried), outcomes)
 
 
-def _whole(value: Any, what: str, at_least: int) -> None:
+def whole_number(value: Any, what: str, at_least: int) -> None:
+    """Refuse ``value`` unless it is a whole number of at least ``at_least``; errors name ``what``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
         raise TaskliftError(f"{what}: expected a whole number of at least {at_least}, found {value!r}")

@@ -1,12 +1,13 @@
 """The scalar rules of selection and reinforcement, each written once.
 
-Plain Python over a row of weights (a 1-D float64 array), with nothing imported and nothing but loops,
+Plain Python over a row of weights (a 1-D float64 array), with nothing but loops,
 arithmetic and ``len``: :mod:`tasklift.policy` calls these functions as they are, and the simulator's kernel
 compiles the same source (``numba.njit(rules.draw)``). No checks are made here: rows have at least one entry,
 weights are finite and not negative, and ``u`` and ``coin`` lie in [0, 1).
 """
 
 # No `from __future__` and no annotations on purpose: this file is compiled as it stands.
+from math import exp
 
 
 def total(weights, n):  # type: ignore[no-untyped-def]
@@ -77,3 +78,33 @@ def reinforce(weight, signal, floor):  # type: ignore[no-untyped-def]
     """Return ``weight`` changed by ``signal``, never below ``floor``."""
     changed = weight + signal
     return changed if changed > floor else floor
+
+
+def chances(values, epsilon, temperature, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` with the chance of each index under ε-greedy (temperature 0) or softmax choice, by value.
+
+    A share ``epsilon`` is even over all; the rest goes to the largest values, evenly among equal ones, or,
+    with a temperature above 0, in proportion to exp(value / temperature).
+    """
+    n = len(values)
+    most = values[0]
+    for i in range(n):
+        if values[i] > most:
+            most = values[i]
+    whole = 0.0
+    for i in range(n):
+        if temperature > 0.0:
+            out[i] = exp((values[i] - most) / temperature)
+        else:
+            out[i] = 1.0 if values[i] == most else 0.0
+        whole += out[i]
+    for i in range(n):
+        out[i] = (1.0 - epsilon) * out[i] / whole + epsilon / n
+
+
+def step_size(visits, least, power):  # type: ignore[no-untyped-def]
+    """Return the step size of a visit: ``least``, or visits ** -power if that is more and power is not 0."""
+    if power == 0.0:
+        return least
+    size = visits**-power
+    return size if size > least else least

@@ -425,6 +425,22 @@ class Task:
             found[variable.name] = None if values is None else variable.positions(values, "fates")
         return found
 
+    def row_of(self, values: Mapping[str, Any]) -> int:
+        """Return this task's row for an ancestor's input, given as ``{name: value}``; −1 if outside.
+
+        Nothing is enumerated, so this serves tasks of any size.
+        """
+        for task in self.lineage:
+            if any(name in values and values[name] != value for name, value in task.fixed.items()):
+                return -1
+        row = 0
+        for variable in self.inputs:
+            position = variable.find(values[variable.name])
+            if position is None:
+                return -1
+            row = row * len(variable) + position
+        return row
+
     def input_rows(self, ancestor: Task) -> NDArray[np.int64]:
         """Return this task's row for each input of an ancestor, int64 (S_ancestor,); −1 where outside."""
         ancestor.need_room(ancestor.shape[0], "the map of inputs")

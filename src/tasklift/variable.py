@@ -94,12 +94,16 @@ class Variable:
     def __len__(self) -> int:
         return len(self.values)
 
+    def find(self, value: Any) -> int | None:
+        """Return the index of ``value``, or None if it is not one of the values."""
+        try:
+            return self._positions.get(value)
+        except TypeError:
+            return None
+
     def position(self, value: Any, where: str = "") -> int:
         """Return the index of ``value`` (or of the value with that label); errors name ``where``."""
-        try:
-            found = self._positions.get(value)
-        except TypeError:
-            found = None
+        found = self.find(value)
         if found is None and self.labels is not None and isinstance(value, str) and value in self.labels:
             found = self.labels.index(value)
         if found is None:

@@ -79,6 +79,7 @@ def run(
     """
     start = time.perf_counter()
     wanted = list(dict.fromkeys(cells))
+    store.plan(len(wanted))
     there = store.done()
     missing = [cell for cell in wanted if cell not in there]
     done, computed = len(wanted) - len(missing), 0
@@ -223,7 +224,7 @@ def recompute(store: Store, cell: Cell, work: Work) -> CellResult:
     result = work(cell)
     if Packed.of(cell, result, "summary") != Packed.of(cell, kept, "summary"):
         raise TaskliftError(
-            f"{store.path}: cell {cell} gives another summary now; it was written by tasklift "
-            f"{', '.join(store.versions())}: install that release to read its rows"
+            f"{store.path}: cell {cell} gives another summary now; tasklift {store.origins()[cell]} wrote "
+            "it: install that release to read its rows"
         )
     return result

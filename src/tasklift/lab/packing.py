@@ -86,8 +86,8 @@ class Packed:
 
     @property
     def crc(self) -> int:
-        """Checksum over all parts."""
-        value = zlib.crc32(self.summary.encode())
+        """Checksum over all parts, the cell's name included."""
+        value = zlib.crc32(f"{self.cell}\0{self.summary}".encode())
         for name, _, data in self.trials:
             value = zlib.crc32(data, zlib.crc32(name.encode(), value))
         for name, content in self.attachments:

@@ -173,6 +173,11 @@ class Store:
 
     # ------------------------------------------------------------ writing
 
+    def plan(self, total: int) -> None:
+        """Note how many cells the latest run asked for, for those who look at an unfinished experiment."""
+        with _explained(self.path):
+            self._db.execute("INSERT OR REPLACE INTO meta VALUES ('planned', ?)", (str(total),))
+
     def add(self, packed: Packed) -> bool:
         """Commit one cell in one transaction. False if it was there already, with the same content.
 
@@ -230,10 +235,18 @@ class Store:
             (count,) = self._db.execute("SELECT count(*) FROM cells").fetchone()
             return int(count)
 
-    def versions(self) -> list[str]:
-        """The releases that wrote cells into this file."""
+    @property
+    def planned(self) -> int | None:
+        """How many cells the latest run asked for."""
         with _explained(self.path):
-            return [row[0] for row in self._db.execute("SELECT DISTINCT version FROM cells ORDER BY version")]
+            found = self._db.execute("SELECT value FROM meta WHERE key = 'planned'").fetchone()
+            return int(found[0]) if found else None
+
+    def origins(self) -> dict[Cell, str]:
+        """The release of tasklift that computed each cell."""
+        with _explained(self.path):
+            rows = self._db.execute("SELECT reading, map, seed, arm, version FROM cells")
+            return {Cell(*row[:4]): row[4] for row in rows}
 
     def select(
         self,
@@ -311,18 +324,22 @@ class Store:
             values[i, : len(row)] = row
         return Curves(values, cells)
 
+    def outlines(
+        self, *, reading: str | None = None, arm: str | None = None
+    ) -> Iterator[tuple[Cell, dict[str, Any]]]:
+        """Yield cells with their summaries only, which is quick, in the order of :meth:`select`."""
+        with _explained(self.path):
+            for _, cell, summary, _ in self._selected(reading, None, None, arm):
+                yield cell, json.loads(summary)
+
     def summaries(self, name: str, *, reading: str | None = None, arm: str | None = None) -> Curves:
         """One summary value, ``(n, 1)``, of the selected cells, ordered as :meth:`curves`; None is nan."""
         cells, values = [], []
-        with _explained(self.path):
-            for _, cell, text, _ in self._selected(reading, None, None, arm):
-                summary = json.loads(text)
-                if name not in summary:
-                    raise TaskliftError(
-                        f"{self.path}: cell {cell} has the summaries {sorted(summary)}, not {name!r}"
-                    )
-                cells.append(cell)
-                values.append(np.nan if summary[name] is None else float(summary[name]))
+        for cell, summary in self.outlines(reading=reading, arm=arm):
+            if name not in summary:
+                raise TaskliftError(f"{self.path}: cell {cell} has {sorted(summary)}, but no {name!r}")
+            cells.append(cell)
+            values.append(np.nan if summary[name] is None else float(summary[name]))
         return Curves(np.array(values, dtype=np.float64).reshape(-1, 1), cells)
 
     def digest(self) -> str:

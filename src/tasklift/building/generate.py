@@ -90,7 +90,7 @@ def generate(
     plan.grow_rooms(rng)
     plan.add_features(features, doors, rng)
     counts = {"intersections": intersections, "corridors": corridors, "rooms": rooms, "features": features}
-    arguments = counts | {"doors": doors, "seed": seed}
+    arguments = {key: int(value) for key, value in (counts | {"doors": doors, "seed": seed}).items()}
     return plan.building(
         name if name is not None else f"generated {intersections}-{corridors}-{rooms}-{features} seed {seed}",
         {"source": "tasklift.building.generate", "arguments": arguments},
@@ -136,7 +136,8 @@ def _check(
             f"ask for at least {doors} features"
         )
     if doors is None:
-        doors = min(features, max(4, round(features / 4)))
+        # What the corridors cannot hold can only be doors at rooms
+        doors = min(features, max(4, round(features / 4), features - FEATURES_PER_CORRIDOR * corridors))
     at_links = min(doors, rooms)
     most = FEATURES_PER_CORRIDOR * corridors + at_links
     if features > most:

@@ -33,7 +33,9 @@ class Lattice:
 
     ROUNDS, STEPS_PER_NODE = 8, 300
     TEMPERATURES = (1.5, 0.2)
-    LONELY, BLOCK = 2.0, 1.5  # the energy of a node that leads nowhere, and of a full 2 × 2 block
+    # The energy of a node that leads nowhere, of a full 2 × 2 block, and of two nodes side by side where so
+    # many rooms are asked for that sides must stay free for them
+    LONELY, BLOCK, CROWD = 2.0, 1.5, 1.0
 
     def __init__(self, nodes: int, edges: int, rooms: int, rng: np.random.Generator) -> None:
         cells = max(2 * nodes, nodes + 2 * rooms)
@@ -50,6 +52,7 @@ class Lattice:
         self.taken = [False] * size  # by a node
         self.holder = [-1] * size
         self.rooms: list[tuple[int, int]] = []
+        self.crowd = self.CROWD if 2 * rooms > nodes else 0.0
         self._start_with_a_block(nodes, edges, rng)
         for _ in range(self.ROUNDS):
             self._anneal(0, rng)
@@ -124,6 +127,8 @@ class Lattice:
                 total += self.lonely
             if bits & 0b11 == 0b11 and corridor[cell + 1] & 0b10 and corridor[cell + step[NORTH]] & 1:
                 total += self.BLOCK
+            if self.crowd and self.taken[cell]:
+                total += self.crowd * (self.taken[cell + 1] + self.taken[cell + step[NORTH]])
         return total
 
     def _around(self, *nodes: int) -> set[int]:
@@ -192,12 +197,14 @@ class Lattice:
         before = self._energy(cells)
         self._flip(leaf, old_way)
         self._flip(root, new_way)
+        self.taken[leaf] = False
+        self.taken[target] = True
         if self._energy(cells) - before > limit:
             self._flip(root, new_way)
             self._flip(leaf, old_way)
+            self.taken[target] = False
+            self.taken[leaf] = True
             return
-        self.taken[leaf] = False
-        self.taken[target] = True
         self.nodes[i] = target
         ends = {(leaf, old_way), (leaf + self.step[old_way], (old_way + 2) % 4)}
         j = next(j for j, edge in enumerate(self.edges) if edge in ends)

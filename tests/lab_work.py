@@ -35,11 +35,13 @@ def work(cell: Cell, delay: float = 0.0) -> CellResult:
     )
 
 
-def work_and_die_once(cell: Cell, folder: str) -> CellResult:
-    """Leave a note of this process, and wait to be killed if this is the first one on seed 3."""
-    note = Path(folder) / f"{cell.reading}-{cell.map}-{cell.seed}-{cell.arm}"
-    if cell.seed == 3 and cell.arm == "copy" and not note.exists():
-        note.write_text(str(os.getpid()))
+FATAL = Cell("scattered", "a", 3, "copy")
+
+
+def work_and_wait_for_death(cell: Cell, note: str) -> CellResult:
+    """At the fatal cell, leave this process's id in a file and wait to be killed; not at the second try."""
+    if cell == FATAL and not Path(note).exists():
+        Path(note).write_text(str(os.getpid()))
         time.sleep(60)
     return work(cell)
 

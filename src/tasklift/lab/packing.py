@@ -88,8 +88,8 @@ class Packed:
     def crc(self) -> int:
         """Checksum over all parts, the cell's name included."""
         value = zlib.crc32(f"{self.cell}\0{self.summary}".encode())
-        for name, _, data in self.trials:
-            value = zlib.crc32(data, zlib.crc32(name.encode(), value))
+        for stage, n, data in self.trials:
+            value = zlib.crc32(data, zlib.crc32(f"{stage}\0{n}".encode(), value))
         for name, content in self.attachments:
             raw = content if isinstance(content, bytes) else content.encode()
             value = zlib.crc32(raw, zlib.crc32(name.encode(), value))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import sys
 from collections.abc import Generator, Iterator
 from typing import Any
@@ -70,12 +71,28 @@ def _connect(ray: Any, workers: int | None, address: str | None) -> None:
         options["runtime_env"] = {"env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}}
     elif workers is not None:
         raise TaskliftError(f"workers {workers}: a running cluster ({address}) has its own; leave one out")
+    else:
+        _knock(address)
     try:
         ray.init(address=address or "local", **options)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise TaskliftError(
             f"Ray at {address or 'this machine'}: cannot connect ({error}); is it running, and of the same "
             "Ray and Python version?"
+        ) from error
+
+
+def _knock(address: str) -> None:
+    """See that someone listens at the address: Ray itself would try for minutes."""
+    if address in ("auto", "local"):
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=10).close()
+    except (OSError, ValueError) as error:
+        raise TaskliftError(
+            f"Ray at {address}: nobody answers ({error}); expected 'auto', HOST:PORT or ray://HOST:PORT of a "
+            "running cluster"
         ) from error
 
 

@@ -78,7 +78,7 @@ def _explained(path: Path) -> Iterator[None]:
             line = (
                 f"cannot be opened or written ({text}); check folder and permissions, or choose another --out"
             )
-        elif "not a database" in text or "malformed" in text:
+        elif "not a database" in text or "malformed" in text or "decode" in text:
             line = (
                 f"damaged, or not an experiment file ({text}); restore a copy, or move it away and run again"
             )
@@ -261,7 +261,7 @@ class Store:
         with _explained(self.path):
             for key, cell, summary, crc in self._selected(reading, map, seed, arm):
                 packed = self._packed(key, cell, summary)
-                if packed.crc != crc:
+                if not _intact(packed, crc):
                     raise TaskliftError(
                         f"{self.path}: cell {cell} is damaged; restore a copy, or run it afresh"
                     )
@@ -391,6 +391,13 @@ _WHERE = "reading = ? AND map = ? AND seed = ? AND arm = ?"
 
 def _key(cell: Cell) -> tuple[str, str, int, str]:
     return cell.reading, cell.map, cell.seed, cell.arm
+
+
+def _intact(packed: Packed, crc: int) -> bool:
+    try:
+        return packed.crc == crc
+    except (TypeError, AttributeError):  # a damaged field may come back as another type
+        return False
 
 
 def _attachment(data: str | bytes) -> Any:

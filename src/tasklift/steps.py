@@ -197,7 +197,7 @@ class _Trial:
         """Apply the global signal of the time taken, and a sweep's credit to all inputs."""
         size, limit = self.view.task.time_reward, self.world.limit
         reward = 0.0
-        if self.settings.time_signal == "inverted":
+        if self.held is not None or self.settings.time_signal == "inverted":  # a sweep is judged by its time
             reward = size * (1 - steps / limit)
         elif self.settings.time_signal == "baseline" and usual_steps is not None:
             reward = 2 * size * (usual_steps - steps) / limit

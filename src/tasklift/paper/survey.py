@@ -133,13 +133,49 @@ class Survey:
         mean_steps = float(of.steps[of.rows(half)].mean())
         return self.repeats * SEARCH_TIME_REWARD * NO_TREND * mean_steps / self.limit
 
-    def falls(self, place: int, half: Half = "odd") -> Verdict:
+    def trend(self, place: int, half: Half = "odd") -> Verdict:
         """Return C1 on a map: do the weights fall as CA rises? By the 95 % interval of the slope."""
         return verdict(self.slope_interval(place, half), "less")
 
-    def trendless(self, place: int, half: Half = "odd") -> Verdict:
+    def no_trend(self, place: int, half: Half = "odd") -> Verdict:
         """Return C2 on a map: is the slope zero but for :meth:`margin`? Two one-sided tests at 5 %."""
         return equivalence(self.slope_interval(place, half, confidence=0.90), self.margin(place, half))
+
+    def in_words(self) -> str:
+        """Say what came out over all maps, which maps are shown, and what in a map makes the difference."""
+        everywhere = range(len(self.maps))
+        trends = [self.trend(place, "all") for place in everywhere]
+        level = sum(self.no_trend(place, "all") == "holds" for place in everywhere)
+        shown = [
+            f"map ({letter}) is {self.maps[place].building.name!r}, slope {self.slope_interval(place)}"
+            for letter, place in zip("ab", self.choose(), strict=True)
+        ]
+        found = [
+            f"“{row.name}” (rank correlation {row.rho:+.2f}, p {row.p_holm:.2g})"
+            for row in correlate(self)
+            if row.p_holm < 0.05
+        ]
+        return (
+            f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on {trends.count('holds')} of "
+            f"them, rise on {trends.count('does not hold')}, and change by less than a trial time of 5 % on "
+            f"{level} (all seeds; 95 % and 90 % intervals per map). By the even seeds, and measured on the odd "
+            f"ones, {'; '.join(shown)}. "
+            + (
+                f"What makes the difference between maps: {'; '.join(found)}. A positive correlation means: the "
+                "larger, the flatter the fall."
+                if found
+                else "No property of the maps in the table goes with the slope beyond chance (p < 0.05 after Holm)."
+            )
+        )
+
+    def explain(self) -> list[tuple[str, float | None, float | None]]:
+        """Return rows for a table: property, rank correlation with the slope, p after Holm; None: no variation."""
+        return [
+            (f"{row.name}: {row.meaning}", row.rho, row.p_holm)
+            if np.isfinite(row.rho)
+            else (f"{row.name}: {row.meaning}; the same on all", None, None)
+            for row in correlate(self)
+        ]
 
 
 def survey(
@@ -228,8 +264,8 @@ def _joined(parts: Sequence[Surveyed]) -> Surveyed:
 # --- which property of a map makes the difference -----------------------------------------------------------
 
 #: What :func:`map_properties` measures. *Outwards*: away from the start, along shortest ways. A *fork* is a
-#: node with two or more ways outwards; shares of CovA are taken among these, as for a robot that comes from the
-#: start.
+#: node with two or more ways outwards; shares of CovA are taken among these, as for a robot that comes from
+#: the start.
 PROPERTIES: dict[str, str] = {
     "corridor length (m)": "all corridors together",
     "loops": "independent cycles of the graph",
@@ -243,7 +279,7 @@ PROPERTIES: dict[str, str] = {
     "distance of rooms (ratio)": "mean distance of the rooms from the start, to that of all nodes",
     "largest CovA": "mean over forks of the largest share of CovA",
     "smallest CovA": "mean over forks of the smallest share of CovA",
-    "CovA and work behind (r)": "correlation over ways at forks: shares of CovA and of the work nearest that way",
+    "CovA and work behind (r)": "correlation over ways at forks: shares of CovA and of the work that lies there",
     "CovA's error": "mean over forks of the distance between shares of CovA and of work (total variation)",
     "robots to rooms (log2)": "robots that reach the rooms if forks split by CovA, to those of an even split",
     "robots to the loneliest way (log2)": "robots on the least travelled corridor, by CovA to an even split",
@@ -360,8 +396,8 @@ class Explanation:
     """How a property of maps goes with their slopes.
 
     ``rho`` is Spearman's correlation over maps: positive where a larger value goes with a flatter fall; nan
-    for a property that is the same on all maps. ``p`` comes from permuting the maps, ``p_holm`` is adjusted after
-    Holm for all properties that vary.
+    for a property that is the same on all maps. ``p`` comes from permuting the maps, ``p_holm`` is adjusted
+    after Holm for all properties that vary.
     """
 
     name: str
@@ -371,8 +407,8 @@ class Explanation:
     p_holm: float
 
 
-def explain(survey: Survey, *, permutations: int = 9999, seed: int = 0) -> list[Explanation]:
-    """Return how each property goes with the mean slope over all seeds, the strongest first."""
+def correlate(survey: Survey, *, permutations: int = 9999, seed: int = 0) -> list[Explanation]:
+    """Return how each property of maps goes with their mean slope over all seeds, the strongest first."""
     from scipy.stats import rankdata
 
     properties = [map_properties(of.building) for of in survey.maps]

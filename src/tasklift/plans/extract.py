@@ -7,7 +7,6 @@ corridors from the skeleton of what is no room.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from tasklift.plans.ros import Plan
 from tasklift.plans.segment import Opening, Regions, Settings, Space, clean, divide, measure_regions
 
 CORNER_DEGREES = 65.0
-STRAIGHTEN_M = 0.25
 BEND_TOLERANCE_M = 0.6
 
 
@@ -105,18 +103,22 @@ def _draw(
         node = whole.add_node(Node((float(row), float(column)), opening.width_m / 2, role))
         for r in opening.regions:
             tied[k, int(root[r])] = node
-    near = {number: box for number, box in enumerate(ndimage.find_objects(region), start=1) if box is not None}
-    for number, box in near.items():
-        mine = [(k, o) for k, o in enumerate(ties) if number in (root[o.regions[0]], root[o.regions[1]])]
+    of_region: dict[int, list[int]] = {}
+    for k, number in tied:
+        of_region.setdefault(number, []).append(k)
+    for number, box in enumerate(ndimage.find_objects(region), start=1):
+        if box is None:
+            continue
+        mine = of_region.get(number, [])
         box = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in box)
         mask = region[box] == number
         corner = box[0].start, box[1].start
-        points = [(o.pixel[0] - corner[0], o.pixel[1] - corner[1]) for _, o in mine]
+        points = [(ties[k].pixel[0] - corner[0], ties[k].pixel[1] - corner[1]) for k in mine]
         part, ends = _draw_region(
             space, settings, mask, space.half_width_m[box], points, bool(is_room[number]), number, corner
         )
-        _tie(whole, part, ends, [tied[k, number] for k, _ in mine])
-    _simplify(whole, space, settings)
+        _tie(whole, part, ends, [tied[k, number] for k in mine])
+    _simplify(whole, space, settings, is_room)
     return whole
 
 
@@ -138,7 +140,10 @@ def _draw_region(
             room = graph.add_node(
                 Node((float(centre[0] + corner[0]), float(centre[1] + corner[1])), float(half[centre]), "room", number)
             )
-            lines = [_lead(mask, point, {centre}) + np.array(corner, float) for point in points]
+            target = np.zeros_like(mask)
+            target[centre] = True
+            lead = _Leads(mask, target)
+            lines = [lead(point) + np.array(corner, float) for point in points]
             return graph, [(room, line) for line in lines]
     from skimage.morphology import skeletonize
 
@@ -146,11 +151,8 @@ def _draw_region(
     graph = trace(pixels, half, owner=number)
     graph.prune(_reaches_out(space, settings))
     kept = _pixels(graph, mask.shape)
-    targets = {(int(r), int(c)) for r, c in np.argwhere(kept)}
-    wanted = list(points)
-    if is_room:
-        wanted.append(centre)
-    leads = [_lead(mask, point, targets) for point in wanted]
+    lead = _Leads(mask, kept)
+    leads = [lead(point) for point in [*points, *([centre] if is_room else [])]]
     graph = trace(kept, half, {(int(line[-1][0]), int(line[-1][1])) for line in leads}, corner, number)
     where = {node.at: number for number, node in graph.nodes.items()}
     ends = []
@@ -188,32 +190,40 @@ def _star_serves(points: Points, centre: Points, cell_m: float) -> bool:
     return bool((detour * cell_m <= 1.0 + 0.5 * straight * cell_m).all())
 
 
-def _lead(mask: NDArray[np.bool_], point: tuple[int, int], targets: set[tuple[int, int]]) -> Points:
-    """The shortest line of cells within ``mask`` from ``point`` to the nearest of ``targets``."""
-    from skimage.graph import MCP_Geometric
+class _Leads:
+    """Finds the shortest lines of cells within ``mask`` to the nearest of the ``targets``."""
 
-    goal = np.array(sorted(targets))
-    nearest = goal[np.argmin(((goal - point) ** 2).sum(axis=1))]
-    straight = _straight(np.array(point), nearest)
-    inside = mask[tuple(straight[1:].T)]
-    if inside.all():
-        return straight.astype(float)
-    reach = int(2 * np.hypot(*(nearest - point))) + 10
-    while True:
-        low = np.maximum(0, np.array(point) - reach)
-        box = tuple(slice(int(s), int(p) + reach + 1) for s, p in zip(low, point, strict=True))
-        cost = np.where(mask[box], 1.0, -1.0)
-        start = tuple(int(v) for v in np.array(point) - low)
-        cost[start] = 1.0
-        ends = [e for e in (goal - low).tolist() if 0 <= e[0] < cost.shape[0] and 0 <= e[1] < cost.shape[1]]
-        search = MCP_Geometric(cost)
-        total, _ = search.find_costs([start], ends, find_all_ends=False)
-        costs = total[tuple(np.array(ends).T)]
-        if np.isfinite(costs).any():
-            return np.array(search.traceback(ends[int(np.argmin(costs))]), float) + low
-        if cost.shape == mask.shape:
+    def __init__(self, mask: NDArray[np.bool_], targets: NDArray[np.bool_]):
+        from scipy.spatial import KDTree
+
+        self.mask, self.targets = mask, targets
+        self.cells = np.argwhere(targets)
+        self.tree = KDTree(self.cells)
+
+    def __call__(self, point: tuple[int, int]) -> Points:
+        """The line from ``point``, which may be a cell outside the mask, to the target."""
+        from skimage.graph import MCP_Geometric
+
+        distance, nearest = self.tree.query(point)
+        straight = _straight(np.array(point), self.cells[nearest])
+        if self.mask[tuple(straight[1:].T)].all():
             return straight.astype(float)
-        reach *= 2
+        reach = int(2 * distance) + 10
+        while True:
+            low = np.maximum(0, np.array(point) - reach)
+            box = tuple(slice(int(s), int(p) + reach + 1) for s, p in zip(low, point, strict=True))
+            cost = np.where(self.mask[box], 1.0, -1.0)
+            start = tuple(int(v) for v in np.array(point) - low)
+            cost[start] = 1.0
+            ends = np.argwhere(self.targets[box])
+            search = MCP_Geometric(cost)
+            total, _ = search.find_costs([start], ends.tolist(), find_all_ends=False)
+            costs = total[tuple(ends.T)]
+            if np.isfinite(costs).any():
+                return np.array(search.traceback(ends[int(np.argmin(costs))].tolist()), float) + low
+            if cost.shape == self.mask.shape:
+                return straight.astype(float)
+            reach *= 2
 
 
 def _straight(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -222,10 +232,17 @@ def _straight(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.rint(a + t * (b - a)).astype(np.int64)
 
 
-def _reaches_out(space: Space, settings: Settings) -> Callable[[float, Node, Node], bool]:
-    """Whether a dangling branch reaches far enough beyond the walls of the space that it leaves."""
+def _reaches_out(
+    space: Space, settings: Settings, is_room: NDArray[np.bool_] | None = None
+) -> Callable[[float, Node, Node], bool]:
+    """Whether a dangling branch reaches far enough beyond the walls of the space that it leaves.
+
+    Within a room none does: the room's node stands for all of it.
+    """
 
     def reaches_out(length: float, leaf: Node, stem: Node) -> bool:
+        if is_room is not None and is_room[leaf.owner]:
+            return False
         beyond = length * space.cell_m + leaf.half - stem.half
         return beyond >= max(settings.prune_m, 0.5 * stem.half)
 
@@ -250,13 +267,14 @@ def _tie(whole: PathGraph, part: PathGraph, ends: list[tuple[int, Points]], door
         whole.add_edge(door, number[node], line)
 
 
-def _simplify(graph: PathGraph, space: Space, settings: Settings) -> None:
+def _simplify(graph: PathGraph, space: Space, settings: Settings, is_room: NDArray[np.bool_]) -> None:
     def near(a: Node, b: Node) -> float:
-        return max(settings.merge_m, 0.8 * max(a.half, b.half)) / space.cell_m
+        return max(settings.merge_m, settings.merge_share * max(a.half, b.half)) / space.cell_m
 
-    graph.prune(_reaches_out(space, settings))
+    reaches_out = _reaches_out(space, settings, is_room)
+    graph.prune(reaches_out)
     graph.contract(near)
-    graph.prune(_reaches_out(space, settings))
+    graph.prune(reaches_out)
 
 
 def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:
@@ -279,6 +297,21 @@ def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:
             # the part before the new node is what the next corners lie on
             edge = next(e for e in graph.incident[node] if graph.edges[e][1] == node and graph.edges[e][0] == a)
         del b
+
+
+def _taut(line: Points, free: NDArray[np.bool_]) -> Points:
+    """The points of ``line`` that remain when it is pulled straight around the walls."""
+    corners = simplify(line, 1.0)
+    kept = [0]
+    while kept[-1] < len(corners) - 1:
+        ahead = len(corners) - 1
+        while ahead > kept[-1] + 1:
+            ends = np.rint(line[corners[[kept[-1], ahead]]]).astype(np.int64)
+            if free[tuple(_straight(*ends).T)].all():
+                break
+            ahead -= 1
+        kept.append(ahead)
+    return line[corners[kept]]
 
 
 def _turn(before: Points, here: Points, after: Points) -> float:
@@ -331,7 +364,7 @@ def _to_building(
     edges, lengths, widths = [], [], []
     for a, b, line in graph.edges.values():
         edges.append((number[a], number[b]))
-        straight = line[simplify(line, STRAIGHTEN_M / space.cell_m)]
+        straight = _taut(line, space.free)
         lengths.append(max(round(line_length(straight) * space.cell_m, 3), space.cell_m))
         along = space.half_width_m[tuple(np.rint(line).astype(int).T)]
         widths.append(max(round(2 * float(np.median(along)), 3), 2 * space.cell_m))
@@ -381,6 +414,7 @@ def _obstacles(space: Space, region: NDArray[np.int32]) -> NDArray[np.int64]:
     label, count = ndimage.label(near & (region > 0), structure=np.ones((3, 3), bool))
     found = np.zeros(n, np.int64)
     if count:
-        owner: Any = ndimage.maximum(region * (label > 0), label, np.arange(1, count + 1))
-        found += np.bincount(np.asarray(owner, np.int64), minlength=n)[:n]
+        owner = np.zeros(count + 1, np.int64)
+        owner[label.ravel()] = region.ravel()  # one of the regions that it touches, if it stands in a doorway
+        found += np.bincount(owner[1:], minlength=n)
     return found

@@ -5,6 +5,7 @@ Points are rows and columns of cells, lengths are in cells; nothing here knows m
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
@@ -108,25 +109,25 @@ class PathGraph:
 
         A "path" node gives way to a room's node; two "path" nodes meet in the middle.
         """
-        while True:
-            best, shortest = None, 0.0
-            for edge, (a, b, line) in self.edges.items():
-                if a == b:
-                    continue
-                keep, give = (a, b) if self.nodes[b].role == "path" else (b, a)
-                giver, keeper = self.nodes[give], self.nodes[keep]
-                if giver.role != "path" or not (
-                    keeper.role == "path" or (keeper.role == "room" and keeper.owner == giver.owner)
-                ):
-                    continue
-                if keeper.role == "path" and min(self.degree(keep), self.degree(give)) < 3:
-                    continue
-                length = line_length(line)
-                if length < near(keeper, giver) and (best is None or length < shortest):
-                    best, shortest = (edge, keep, give), length
-            if best is None:
-                return
-            self._merge(*best)
+        queue = [(line_length(line), edge) for edge, (_, _, line) in self.edges.items()]
+        heapq.heapify(queue)
+        while queue:
+            length, edge = heapq.heappop(queue)
+            if edge not in self.edges:
+                continue
+            a, b, _ = self.edges[edge]
+            keep, give = (a, b) if self.nodes[b].role == "path" else (b, a)
+            keeper, giver = self.nodes[keep], self.nodes[give]
+            if a == b or giver.role != "path" or length >= near(keeper, giver):
+                continue
+            if keeper.role == "path":
+                fits = min(self.degree(keep), self.degree(give)) >= 3
+            else:
+                fits = keeper.role == "room" and keeper.owner == giver.owner
+            if fits:
+                self._merge(edge, keep, give)
+                for e in self.incident[keep]:
+                    heapq.heappush(queue, (line_length(self.edges[e][2]), e))
 
     def _merge(self, edge: int, keep: int, give: int) -> None:
         keeper, giver = self.nodes[keep], self.nodes[give]

@@ -47,7 +47,7 @@ class Settings:
     """
 
     cell_m: float = 0.05
-    opening_m: float = 0.2
+    opening_m: float = 0.3
     speckle_m: float = 0.8
     furniture_m: float = 2.0
     door_rule: str = "relative"
@@ -57,9 +57,13 @@ class Settings:
     door_width_m: float = 2.2
     smallest_room_m2: float = 4.0
     room_half_width_m: float = 0.7
-    room_elongation: float = 3.5
+    room_elongation: float = 4.0
+    room_openness: float = 0.22
+    bay_share: float = 0.25
     prune_m: float = 0.5
     merge_m: float = 1.0
+    merge_share: float = 0.8
+    frame_ratio: float = 0.8
     bend_degrees: float = 35.0
 
 
@@ -341,8 +345,8 @@ def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArra
             tiny = measure.area_m2[a] < settings.smallest_room_m2 / 2
             bay = (
                 exits[a] == 1
-                and measure.area_m2[a] < 0.25 * measure.area_m2[b]
-                and measure.elongation[a] < 2
+                and measure.area_m2[a] < settings.bay_share * measure.area_m2[b]
+                and measure.elongation[a] < 1.5
                 and opening.width_m > 1.5 * measure.peak_m[a]
             )
             around = mouths[opening.regions] > 1
@@ -372,22 +376,23 @@ class Regions:
 
     def rooms(self, settings: Settings) -> NDArray[np.bool_]:
         """Which regions are rooms; the others are corridors."""
-        longest = np.where(self.exits <= 1, 4.0, np.minimum(4.0, 2 * self.peak_m))
+        most = settings.room_elongation
+        longest = np.where(self.exits <= 1, most, np.minimum(most, 2 * self.peak_m))
         return (
             (self.area_m2 >= settings.smallest_room_m2)
             & (self.peak_m >= settings.room_half_width_m)
-            & (self.openness <= 0.25)
+            & (self.openness <= settings.room_openness)
             & (self.elongation <= longest)
         )
 
 
 def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Opening]) -> Regions:
     """Area, half width, elongation, openness and number of exits of every region."""
-    from scipy import ndimage
-
     n = int(region.max()) + 1
     area = np.bincount(region.ravel(), minlength=n) * space.cell_m**2
-    peak = np.asarray(ndimage.maximum(space.half_width_m, region, np.arange(n)), float)
+    peak = np.zeros(n, np.float32)
+    np.maximum.at(peak, region.ravel(), space.half_width_m.ravel())
+    peak = peak.astype(float)
     area[0], peak[0] = 0, 1
     open_m, exits = np.zeros(n), np.zeros(n, np.int64)
     for opening in openings:
@@ -401,15 +406,24 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
     """One opening for every connected stretch of border between two regions."""
     from scipy import ndimage
 
-    border: dict[tuple[int, int], list[int]] = {}
     width = region.shape[1]
     reach = int(np.ceil(settings.near_m / space.cell_m))
     same = np.arange(region.max() + 1, dtype=np.int32)
     flat, half = region.ravel(), space.half_width_m.ravel()
+    sides = []
     for step in (1, width):
-        for i in np.flatnonzero((flat[:-step] != flat[step:]) & (flat[:-step] > 0) & (flat[step:] > 0)).tolist():
-            pair = (int(flat[i]), int(flat[i + step]))
-            border.setdefault((min(pair), max(pair)), []).extend((i, i + step))
+        i = np.flatnonzero((flat[:-step] != flat[step:]) & (flat[:-step] > 0) & (flat[step:] > 0))
+        sides.append(np.stack([flat[i], flat[i + step], i, i + step]))
+    a, b, here, there = np.concatenate(sides, axis=1).astype(np.int64)
+    key = np.minimum(a, b) * len(same) + np.maximum(a, b)
+    order = np.argsort(key, kind="stable")
+    if not len(order):
+        return []
+    pairs, first = np.unique(key[order], return_index=True)
+    border = {
+        (int(k // len(same)), int(k % len(same))): np.concatenate([here[rows], there[rows]])
+        for k, rows in zip(pairs, np.split(order, first[1:]), strict=True)
+    }
     found = []
     for pair, pixels in sorted(border.items()):
         rows, columns = np.divmod(np.unique(pixels), width)
@@ -422,6 +436,6 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
             pixel = int(r[best]), int(c[best])
             opening = 2 * float(half[r[best] * width + c[best]])
             near = _near(space.half_width_m, same, region, pixel, pair, reach)
-            is_door = opening < min(settings.door_width_m, 2 * settings.door_ratio * near)
+            is_door = opening < min(settings.door_width_m, 2 * settings.frame_ratio * near)
             found.append(Opening(pixel, pair, opening, is_door))
     return found

@@ -41,6 +41,7 @@ _DOOR_WIDTH = 1.0
 _WALL = 0.3
 _ROOM_AREA = (9.0, 60.0)
 _SMALLEST_SIDE = 3.0
+_CORNER = 0.65  # how much farther than its sides the outer corner of a wide corridor reaches
 _FRONT = max(_WIDTHS) / 2 + _WALL  # from an intersection's centre to the near wall of its room
 
 # Degrees by which a corridor turns, and the least angle between two corridors at a node
@@ -318,13 +319,15 @@ class _Plan:
         ends, half = self.chains[corridor], self.width[corridor] / 2
         legs = [shapely.LineString([self.position[end], apex]) for end in ends]
         rooms = shapely.box(*np.array(self.box).T)
+        if shapely.distance(shapely.Point(apex), rooms).min() < half + _CORNER + _WALL:
+            return False
         lines = shapely.linestrings(pieces)
         for end, leg in zip(ends, legs, strict=True):
             if shapely.distance(leg, rooms).min() < half + _WALL - 1e-6:
                 return False
             meets = (nodes == end).any(axis=1)
             gap = shapely.distance(leg, lines[~meets]) - widths[~meets] / 2
-            if gap.size and gap.min() < half + _WALL:
+            if gap.size and gap.min() < half + _CORNER + _WALL:
                 return False
             here = np.array(self.position[end])
             # From the shared node to the far end of each piece; the near end adds nothing

@@ -144,19 +144,20 @@ def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend
     ax.plot(*building.position_m[nodes].T, **_hostile_style(), markersize=8, zorder=7)
     _finish(ax, building, rooms)
     if legend:
-        handles: list[Any] = [
-            Patch(facecolor=_CORRIDOR, edgecolor=_WALL, label="corridor"),
-            Line2D([], [], color=_DOOR, linewidth=2.2, label="door"),
-            Line2D([], [], marker="*", markersize=10, color=_START, linestyle="none", label="start"),
-        ]
+        handles: list[Any] = [Patch(facecolor=_CORRIDOR, edgecolor=_WALL, label="corridor")]
         if rooms:
-            handles.insert(1, Patch(facecolor=_ROOM, edgecolor=_WALL, label="room"))
+            handles.append(Patch(facecolor=_ROOM, edgecolor=_WALL, label="room"))
+        if doors:
+            handles.append(Line2D([], [], color=_DOOR, linewidth=2.2, label="door"))
         if others.any():
             handles.append(
                 Line2D(
                     [], [], marker="o", color=_FEATURE, markersize=4, linestyle="none", label="other feature"
                 )
             )
+        handles.append(
+            Line2D([], [], marker="*", markersize=10, color=_START, linestyle="none", label="start")
+        )
         if nodes:
             handles.append(Line2D([], [], **_hostile_style(), markersize=7, label="hostile"))
         _legend(ax, handles)

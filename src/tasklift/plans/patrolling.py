@@ -314,7 +314,7 @@ def _add_doors(graph: _Graph, rooms: Sequence[int], start: int) -> None:
             or sum(is_door[node] and node not in beside for node in range(len(is_door))) >= FEWEST_DOORS
         ):
             return
-        _insert_door(graph, *max(plain, key=lambda edge: (graph.length[edge], edge)))
+        _insert_door(graph, *min(plain, key=lambda edge: (-graph.length[edge], edge)))
 
 
 def _insert_door(graph: _Graph, a: int, b: int) -> None:

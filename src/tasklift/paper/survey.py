@@ -155,21 +155,21 @@ class Survey:
             for row in correlate(self)
             if row.p_holm < 0.05
         ]
+        why = (
+            f"What makes the difference between maps: {'; '.join(found)}; a positive correlation means: the "
+            "larger, the flatter the fall."
+            if found
+            else "No property in the table goes with the slope beyond chance (p < 0.05 after Holm)."
+        )
         return (
-            f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on {trends.count('holds')} of "
-            f"them, rise on {trends.count('does not hold')}, and change by less than a trial time of 5 % on "
-            f"{level} (all seeds; 95 % and 90 % intervals per map). By the even seeds, and measured on the odd "
-            f"ones, {'; '.join(shown)}. "
-            + (
-                f"What makes the difference between maps: {'; '.join(found)}. A positive correlation means: the "
-                "larger, the flatter the fall."
-                if found
-                else "No property of the maps in the table goes with the slope beyond chance (p < 0.05 after Holm)."
-            )
+            f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on {trends.count('holds')} "
+            f"of them, rise on {trends.count('does not hold')}, and show no trend on {level} (all seeds; 95 % "
+            "intervals, and 90 % within a margin of 5 % of the trial time). Chosen by the even seeds and "
+            f"measured on the odd ones, {'; '.join(shown)}. {why}"
         )
 
     def explain(self) -> list[tuple[str, float | None, float | None]]:
-        """Return rows for a table: property, rank correlation with the slope, p after Holm; None: no variation."""
+        """Return table rows: property, its rank correlation with the slope, p after Holm; None: the same on all."""
         return [
             (f"{row.name}: {row.meaning}", row.rho, row.p_holm)
             if np.isfinite(row.rho)
@@ -279,7 +279,7 @@ PROPERTIES: dict[str, str] = {
     "distance of rooms (ratio)": "mean distance of the rooms from the start, to that of all nodes",
     "largest CovA": "mean over forks of the largest share of CovA",
     "smallest CovA": "mean over forks of the smallest share of CovA",
-    "CovA and work behind (r)": "correlation over ways at forks: shares of CovA and of the work that lies there",
+    "CovA and work behind (r)": "correlation over ways at forks: share of CovA, share of the work there",
     "CovA's error": "mean over forks of the distance between shares of CovA and of work (total variation)",
     "robots to rooms (log2)": "robots that reach the rooms if forks split by CovA, to those of an even split",
     "robots to the loneliest way (log2)": "robots on the least travelled corridor, by CovA to an even split",

@@ -93,3 +93,23 @@ def _sectors(building: Building, node: int) -> tuple[NDArray[np.float64], NDArra
     ring[:, 1:6, 0] = here[0] + radius * np.cos(ray)
     ring[:, 1:6, 1] = here[1] + radius * np.sin(ray)
     return ring, group
+
+
+def goal_shares(building: Building, node: int, goal: int, sharpness: float = 1.0) -> NDArray[np.float64]:
+    """Return GolC of every way at a node (paper, Fig. 2b): how likely the goal lies there.
+
+    GolC_j ∝ 1 / (0.5 + d_j) ** ``sharpness``, ``d_j`` the straight distance (m) from the goal to the far end of
+    way ``j``; equal shares at the goal itself. Rule 9 of ``docs/reading.md``; the simulator's
+    :func:`tasklift.building.kernel.draw_edge` computes the same over the ways open to a robot.
+
+    Returns
+    -------
+    float64 (degree,)
+        In the order of the node's half-edges; sums to 1.
+    """
+    ways = building.neighbour[building.indptr[node] : building.indptr[node + 1]]
+    if node == goal:
+        return np.full(len(ways), 1 / len(ways))
+    distance = np.hypot(*(building.position_m[ways] - building.position_m[goal]).T)
+    nearness = (0.5 + distance) ** -float(sharpness)
+    return np.asarray(nearness / nearness.sum())

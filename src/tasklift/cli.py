@@ -1,0 +1,242 @@
+"""The command line: parse and call, nothing else. Everything heavy is imported when its command runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tasklift import __version__
+from tasklift.errors import TaskliftError
+
+#: Command groups that live with their wing: name -> (module, attribute, one line of help).
+_ELSEWHERE = {
+    "map": ("tasklift.plans.cli", "map_group", "Turn floor plans into buildings; look at them, check, correct, export."),
+    "watch": ("tasklift.watch.cli", "watch_command", "Replay trials in the browser."),
+}
+
+
+class _Commands(click.Group):
+    """A group that imports a command of another wing only when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted([*super().list_commands(ctx), *_ELSEWHERE])
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in _ELSEWHERE:
+            return super().get_command(ctx, name)
+        module, attribute, _ = _ELSEWHERE[name]
+        command: click.Command = getattr(import_module(module), attribute)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        rows = []
+        for name in self.list_commands(ctx):
+            if name in _ELSEWHERE:
+                rows.append((name, _ELSEWHERE[name][2]))
+            else:
+                rows.append((name, self.commands[name].get_short_help_str(90)))
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="tasklift")
+def cli() -> None:
+    """Learn the safe, simple version of a task first; extend it; know whether it paid."""
+
+
+def _team(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple[int, int]:
+    parts = text.split("+")
+    if len(parts) != 2 or not all(part.strip().isdigit() for part in parts):
+        raise click.BadParameter(f"expected SCOUTS+WEAPONS such as 10+5, found {text!r}")
+    return int(parts[0]), int(parts[1])
+
+
+_positive = click.IntRange(min=1)
+
+
+def _experiment_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of every command that trains."""
+    for option in (
+        click.option("--workers", type=_positive, help="Threads, or the size of a local Ray; default: one per core."),
+        click.option("--address", help="For Ray: a running cluster, such as auto or ray://host:10001."),
+        click.option("--engine", type=click.Choice(["threads", "ray"]), default="threads", show_default=True),
+    ):
+        command = option(command)
+    return command
+
+
+@cli.command()
+@click.option("--maps", type=_positive, default=6, show_default=True, help="Generated buildings.")
+@click.option("--seeds", type=_positive, default=5, show_default=True, help="Seeds per building.")
+@click.option("--trials", type=_positive, default=100, show_default=True, help="Trials on the full task.")
+@click.option("--survey", type=click.IntRange(min=2), default=60, show_default=True,
+              help="Generated buildings for Figure 3 and its claims.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("reproduction"), show_default=True,
+              help="Folder for the report; the same command resumes there.")
+@_experiment_options
+def reproduce(**options: Any) -> None:
+    """Reproduce the paper: arms, presets, maps, seeds; figures, claims, report.html."""
+    from tasklift.paper.reproduce import reproduce as run
+
+    with _progress() as progress:
+        report = run(progress=progress, **options)
+    click.echo(f"report: {report}")
+
+
+@cli.command()
+@click.argument("building", type=click.Path(path_type=Path))
+@click.option("--team", default="10+5", show_default=True, callback=_team, help="Scouts+weapon robots.")
+@click.option("--hostiles", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--weapons-needed", type=_positive, default=2, show_default=True, help="The paper's m.")
+@click.option("--limit", type=_positive, default=600, show_default=True, help="Steps per trial.")
+@click.option("--preset", type=click.Choice(["scattered", "cohesive"]), default="scattered", show_default=True)
+@click.option("--seeds", type=_positive, default=5, show_default=True)
+@click.option("--trials", type=_positive, default=100, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), default=None,
+              help="Folder for policies and report; default: beside the current folder's runs, by name.")
+@_experiment_options
+def train(**options: Any) -> None:
+    """Learn on your own building (.json or .graph): policy files and the verdict."""
+    from tasklift.paper.train import train as run
+
+    with _progress() as progress:
+        lines, report = run(progress=progress, **options)
+    for line in lines:
+        click.echo(line)
+    click.echo(f"report: {report}")
+
+
+@cli.group()
+def policy() -> None:
+    """Read what was learned."""
+
+
+@policy.command("show")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--top", type=_positive, default=3, show_default=True, help="Outputs to show per input.")
+def policy_show(file: Path, top: int) -> None:
+    """Show the most likely outputs of every input, and where the policy comes from."""
+    from tasklift.policy import Policy
+
+    loaded = Policy.load(file)
+    task = loaded.task
+    click.echo(f"{task.name}: {task.shape[0]} inputs x {task.shape[1]} outputs")
+    for row in range(task.shape[0]):
+        chances = loaded.probabilities(row)
+        best = sorted(range(task.shape[1]), key=lambda out: -chances[out])[:top]
+        seen = " ".join(f"{name}={value}" for name, value in task.input_values(row).items())
+        does = "; ".join(
+            f"{chances[out]:.0%} " + " ".join(f"{k}={v}" for k, v in task.output_values(out).items()) for out in best
+        )
+        click.echo(f"{seen}: {does}")
+
+
+@policy.command("export")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="A .csv file.")
+def policy_export(file: Path, out: Path) -> None:
+    """Write a policy as a table: one line per input and output, with weight and probability."""
+    import csv
+    import io
+
+    from tasklift.files import write_atomically
+    from tasklift.policy import Policy
+
+    loaded = Policy.load(file)
+    task = loaded.task
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*(v.name for v in task.inputs), *(v.name for v in task.outputs), "weight", "probability"])
+    for row in range(task.shape[0]):
+        chances = loaded.probabilities(row)
+        for out_index in range(task.shape[1]):
+            values = [*task.input_values(row).values(), *task.output_values(out_index).values()]
+            writer.writerow([*values, loaded.weights[row, out_index], chances[out_index]])
+    write_atomically(out, text.getvalue())
+    click.echo(f"written: {out}")
+
+
+@cli.group()
+def runs() -> None:
+    """List, show, compare and export experiments."""
+
+
+@runs.command("list")
+@click.argument("folder", type=click.Path(path_type=Path), default=Path())
+def runs_list(folder: Path) -> None:
+    """List the experiments in FOLDER and below."""
+    from tasklift.lab.runs import find
+
+    _print(find(folder))
+
+
+@runs.command("show")
+@click.argument("run", type=click.Path(path_type=Path))
+def runs_show(run: Path) -> None:
+    """Show an experiment's settings and the mean of every summary by reading and arm."""
+    from tasklift.lab.runs import show
+
+    _print(*show(run))
+
+
+def _print(*tables: Any) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    for content in tables:
+        table = Table(title=Text(content.title), title_justify="left")
+        for header in content.headers:
+            table.add_column(Text(str(header)))
+        for row in content.rows:
+            table.add_row(*(Text(f"{value:.4g}" if isinstance(value, float) else str(value)) for value in row))
+        console.print(table)
+
+
+class _progress:  # noqa: N801 - reads as what it is: `with _progress() as progress`
+    """A bar per piece of work; called as ``progress(done, total, what)``."""
+
+    def __enter__(self) -> Callable[[int, int, str], None]:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        self.bar = Progress(
+            TextColumn("{task.fields[what]:<44.44}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+        )
+        self.bar.start()
+        self.current: tuple[Any, int] | None = None
+        return self.show
+
+    def show(self, done: int, total: int, what: str) -> None:
+        if self.current is None or self.current[1] != total:
+            self.current = (self.bar.add_task("", total=total, what=what), total)
+        self.bar.update(self.current[0], completed=done, what=what)
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+
+def main() -> None:
+    """Run the command line; the user's mistakes end in one line and exit code 2, Ctrl-C in 130."""
+    try:
+        cli.main(standalone_mode=False)
+    except TaskliftError as error:
+        click.echo(f"tasklift: {error}", err=True)
+        sys.exit(2)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except (KeyboardInterrupt, click.Abort) as stop:
+        click.echo(f"tasklift: {stop or 'stopped'}", err=True)
+        sys.exit(130)

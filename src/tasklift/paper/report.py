@@ -1,0 +1,186 @@
+"""What a study leaves behind: rows, policies, figures, the claims table and ``report.html``."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import tasklift
+from tasklift import stats
+from tasklift.errors import TaskliftError
+from tasklift.files import write_atomically
+from tasklift.lab import FILE_NAME, Cell, Report, Store
+from tasklift.lab.charts import Series
+from tasklift.paper.arms import ARMS
+from tasklift.paper.claims import CLAIMS, Finding, Sample, holm_adjusted
+from tasklift.paper.study import Study
+
+Progress = Callable[[int, int, str], None]
+
+#: Arms in the curves, in the order of their colours.
+DRAWN = ("direct", "copy", "copy+prior", "prior", "expert")
+FEATURES = ("1 none", "2 bend", "3 corner", "4 door (enemy)", "5 other")
+WEAPONS = ("no weapon robot", "1 to m−1 weapon robots", "m or more weapon robots")
+
+
+def prepare_folder(out: Path) -> Path:
+    """Create the folder of an experiment, or accept one that holds an experiment already.
+
+    Raises
+    ------
+    TaskliftError
+        If it holds anything else: nothing is overwritten.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()) and not (out / FILE_NAME).exists():
+            raise TaskliftError(f"{out}: holds other files and no experiment; choose a new or empty folder")
+    except OSError as error:
+        raise TaskliftError(f"{out}: cannot be used as a folder ({error.strerror}); choose another") from error
+    return out
+
+
+def save_policies(study: Study, folder: Path, reading: str, building: str) -> list[Path]:
+    """Write what every learning arm ends with on one building with seed 0."""
+    folder.mkdir(exist_ok=True)
+    paths = []
+    for name in study.arms:
+        if ARMS[name].learns:
+            file = folder / f"{reading}, {name}.json".replace(" ", "-").replace(",", "")
+            study.learned(Cell(reading, building, 0, name)).save(file)
+            paths.append(file)
+    return paths
+
+
+def write_claims(findings: Sequence[Finding], path: Path) -> None:
+    """Write the findings as CSV, one per line."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["claim", "reading", "contrast", "measure", "estimate", "low", "high", "holds if", "verdict", "p", "p Holm",
+         "note"]
+    )  # fmt: skip
+    for finding, p in zip(findings, holm_adjusted(list(findings)), strict=True):
+        interval = finding.interval
+        writer.writerow(
+            [finding.claim, finding.reading, finding.contrast, CLAIMS[finding.claim].measure, interval.estimate,
+             interval.low, interval.high, finding.better, finding.verdict, finding.p, p, finding.note]
+        )  # fmt: skip
+    write_atomically(path, text.getvalue())
+
+
+def arm_rows(samples: Mapping[str, Sample]) -> list[list[Any]]:
+    """Return one row per arm: steps early and late, losses, trials kept, out of time, greedy use."""
+    rows: list[list[Any]] = []
+    for name, sample in samples.items():
+        kept = 100 * (sample.robots_left == sample.n_robots).mean()
+        rows.append(
+            [name, sample.steps[:, :10].mean(), sample.steps[:, -20:].mean(), sample.losses.mean(), kept,
+             100 * (1 - sample.success.mean()), sample.greedy_steps.mean(), sample.greedy_losses.mean()]
+        )  # fmt: skip
+    return rows
+
+
+ARM_HEADERS = (
+    "arm", "steps, first 10 trials", "steps, last 20", "robots lost a trial", "all kept (% of trials)",
+    "out of time (%)", "greedy: steps", "greedy: lost a trial",
+)  # fmt: skip
+
+
+def ledger_rows(store: Store, reading: str) -> list[list[Any]]:
+    """Return losses and steps by stage and arm, per cell, the price of the source task included."""
+    rows: list[list[Any]] = []
+    for arm in store.spec.settings["arms"]:
+        total: dict[str, list[float]] = {}
+        cells = 0
+        for _, result in store.select(reading=reading, arm=arm):
+            cells += 1
+            for stage, columns in result.stages.items():
+                if stage != "greedy":
+                    seen = total.setdefault(stage, [0.0, 0.0, 0.0])
+                    seen[0] += len(columns["steps"])
+                    seen[1] += float(np.sum(columns["steps"]))
+                    seen[2] += float(np.sum(columns["losses"]))
+        for stage in ("source", "budget", "target"):
+            if stage in total:
+                trials, steps, losses = (value / cells for value in total[stage])
+                rows.append([arm, stage, trials, steps, losses, 1000 * losses / steps])
+    return rows
+
+
+LEDGER_HEADERS = ("arm", "stage", "trials", "steps", "robots lost", "lost per 1,000 steps")
+
+
+def claim_rows(findings: Sequence[Finding]) -> list[list[Any]]:
+    """Return the claims table: one row per finding, in the order of the claims."""
+    order = list(CLAIMS)
+    adjusted = holm_adjusted(list(findings))
+    rows = []
+    for finding, p in sorted(zip(findings, adjusted, strict=True), key=lambda pair: order.index(pair[0].claim)):
+        claim = CLAIMS[finding.claim]
+        chance = "" if p is None else ("< 0.001" if p < 0.001 else f"{p:.3f}")
+        rows.append(
+            [finding.claim, claim.says, finding.reading, finding.contrast, claim.measure, str(finding.interval),
+             finding.better, finding.verdict, chance, finding.note]
+        )  # fmt: skip
+    return rows
+
+
+CLAIM_HEADERS = (
+    "claim", "the paper", "preset", "contrast", "measured by", "estimate [95 % interval]", "holds if", "verdict",
+    "p (Holm)", "note",
+)  # fmt: skip
+
+
+def add_curves(report: Report, samples: Mapping[str, Sample], title: str) -> None:
+    """Add Figure 4 as interactive curves: steps, robots left and teams left per trial, with 95 % bands."""
+    for column, label, most in (
+        ("steps", "steps", None),
+        ("robots_left", "robots left", None),
+        ("teams_left", "teams left", None),
+    ):
+        series = []
+        for name in DRAWN:
+            if name in samples:
+                sample = samples[name]
+                band = stats.mean_band(getattr(sample, column), strata=sample.maps, resamples=1000)
+                series.append(Series(name, band.estimate, band.low, band.high))
+        report.curves(series, title=f"{title}: {label}", y_label=label, x_label="trial", y_range=most)
+
+
+def add_move_weights(report: Report, sample: Sample, arm: str) -> None:
+    """Add Figure 5 as turning bars, one per weapons class."""
+    mean = sample.move_weights.mean(axis=0)
+    top = float(mean.max())
+    for level, label in enumerate(WEAPONS):
+        report.bars3d(
+            mean[level],
+            FEATURES,
+            ("stop", "move"),
+            title=f"{arm}: {label}",
+            z_label="mean weight",
+            z_range=(0.0, top),
+        )
+
+
+def add_settings(report: Report, store: Store, command: str) -> None:
+    """Add what was run, with which settings, and how to run it again."""
+    report.section("How to run it again")
+    report.code(command)
+    report.paragraph(
+        f"tasklift {tasklift.__version__}, specification `{store.spec.id[:16]}`; the rows are in `{FILE_NAME}` and "
+        "`rows.csv`. The same command in the same folder resumes; the same settings give the same rows on any "
+        "number of threads."
+    )
+    report.code(_pretty(store.spec.settings), summary="All settings")
+
+
+def _pretty(settings: Mapping[str, Any]) -> str:
+    import json
+
+    return json.dumps(settings, indent=1, ensure_ascii=False)

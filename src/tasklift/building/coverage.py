@@ -98,8 +98,8 @@ def _sectors(building: Building, node: int) -> tuple[NDArray[np.float64], NDArra
 def goal_shares(building: Building, node: int, goal: int, sharpness: float = 1.0) -> NDArray[np.float64]:
     """Return GolC of every way at a node (paper, Fig. 2b): how likely the goal lies there.
 
-    GolC_j ∝ 1 / (0.5 + d_j) ** ``sharpness``, ``d_j`` the straight distance (m) from the goal to the far end of
-    way ``j``; equal shares at the goal itself. Rule 9 of ``docs/reading.md``; the simulator's
+    GolC_j ∝ 1 / (0.5 + d_j) ** ``sharpness``, ``d_j`` the straight distance (m) from the goal to the far end
+    of way ``j``; equal shares at the goal itself. Rule 9 of ``docs/reading.md``; the simulator's
     :func:`tasklift.building.kernel.draw_edge` computes the same over the ways open to a robot.
 
     Returns
@@ -112,4 +112,5 @@ def goal_shares(building: Building, node: int, goal: int, sharpness: float = 1.0
         return np.full(len(ways), 1 / len(ways))
     distance = np.hypot(*(building.position_m[ways] - building.position_m[goal]).T)
     nearness = (0.5 + distance) ** -float(sharpness)
-    return np.asarray(nearness / nearness.sum())
+    total = nearness.sum()  # 0 if all are too far for so sharp a rule
+    return np.asarray(nearness / total) if total > 0 else np.full(len(ways), 1 / len(ways))

@@ -162,14 +162,14 @@ class Survey:
             else "No property in the table goes with the slope beyond chance (p < 0.05 after Holm)."
         )
         return (
-            f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on {trends.count('holds')} "
-            f"of them, rise on {trends.count('does not hold')}, and show no trend on {level} (all seeds; 95 % "
-            "intervals, and 90 % within a margin of 5 % of the trial time). Chosen by the even seeds and "
+            f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on "
+            f"{trends.count('holds')} of them, rise on {trends.count('does not hold')}, and show no trend on {level} "
+            "(all seeds; 95 % intervals, and 90 % within a margin of 5 % of the trial time). Chosen by the even seeds and "
             f"measured on the odd ones, {'; '.join(shown)}. {why}"
         )
 
     def explain(self) -> list[tuple[str, float | None, float | None]]:
-        """Return table rows: property, its rank correlation with the slope, p after Holm; None: the same on all."""
+        """Return table rows: property, its rank correlation with the slope, p after Holm; None: no variation."""
         return [
             (f"{row.name}: {row.meaning}", row.rho, row.p_holm)
             if np.isfinite(row.rho)

@@ -163,13 +163,13 @@ class Survey:
         )
         return (
             f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on "
-            f"{trends.count('holds')} of them, rise on {trends.count('does not hold')}, and show no trend on {level} "
-            "(all seeds; 95 % intervals, and 90 % within a margin of 5 % of the trial time). Chosen by the even seeds and "
-            f"measured on the odd ones, {'; '.join(shown)}. {why}"
+            f"{trends.count('holds')} of them, rise on {trends.count('does not hold')}, and show no trend on "
+            f"{level} (all seeds; 95 % intervals, and 90 % within 5 % of the trial time). Chosen by "
+            f"the even seeds and measured on the odd ones, {'; '.join(shown)}. {why}"
         )
 
     def explain(self) -> list[tuple[str, float | None, float | None]]:
-        """Return table rows: property, its rank correlation with the slope, p after Holm; None: no variation."""
+        """Return table rows: property, rank correlation with the slope, p after Holm; None: no variation."""
         return [
             (f"{row.name}: {row.meaning}", row.rho, row.p_holm)
             if np.isfinite(row.rho)
@@ -305,9 +305,9 @@ def _ways(building: Building) -> _Ways:
     n = building.n_nodes
     cost = edge_cost_mm(building.length_m, building.width_m) / 1000
     distance = shortest_path(csr_array((cost, building.edges.T), shape=(n, n)), directed=False)
-    search = search_steps(
-        building.kind == ROOM, building.area_m2, building.obstacles, SCATTERED.search_rate_m2
-    ).astype(np.float64)
+    search = search_steps(building.kind == ROOM, building.area_m2, building.obstacles, SCATTERED.search_rate_m2).astype(
+        np.float64
+    )
     work = search + np.bincount(building.edges.ravel(), np.repeat(cost / 2, 2), minlength=n)
     origin = np.repeat(np.arange(n), building.degree)
     along = cost[building.edge_of]
@@ -322,9 +322,7 @@ def _ways(building: Building) -> _Ways:
     return _Ways(distance, work, search, behind, tuple(h for h in outwards if len(h) > 1), onwards)
 
 
-def _flow(
-    building: Building, ways: _Ways, by_coverage: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _flow(building: Building, ways: _Ways, by_coverage: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The share of the robots that reach each node (N,) and each corridor (E,) if all go outwards only."""
     nodes, corridors = np.zeros(building.n_nodes), np.zeros(building.n_edges)
     nodes[building.start] = 1.0

@@ -253,6 +253,6 @@ def test_impossible_requests_say_why_at_once(request_, message):
     begin = time.perf_counter()
     with pytest.raises(TaskliftError, match=message) as caught:
         generate(**request_)
-    assert time.perf_counter() - begin < 2
+    assert time.perf_counter() - begin < 5
     assert str(caught.value).startswith("generate: ")
     assert "\n" not in str(caught.value)

@@ -1,0 +1,225 @@
+"""Did it pay: a curriculum against learning its last task from scratch, over many seeds, with intervals.
+
+The unit of replication is the seed; arms are compared by paired differences. What the earlier stages cost is
+reported both ways: left out (*target only*), and included, against a direct learner that spends the same on
+the last task itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift import stats
+from tasklift.errors import TaskliftError
+from tasklift.learn import Outcomes, whole_number
+from tasklift.policy import Policy
+from tasklift.transfer import Curriculum, CurriculumRun, Ledger
+
+Performance = Literal["return", "steps", "success"]
+Told = Literal["helps", "hurts", "can't tell"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One comparison: the mean paired difference (curriculum − direct) over seeds, and what it says."""
+
+    name: str
+    curriculum: float
+    direct: float
+    difference: stats.Interval
+    told: Told
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the finding as JSON data."""
+        low, high = float(self.difference.low), float(self.difference.high)
+        return {
+            "name": self.name,
+            "curriculum": self.curriculum,
+            "direct": self.direct,
+            "difference": float(self.difference.estimate),
+            "low": low,
+            "high": high,
+            "confidence": self.difference.confidence,
+            "verdict": self.told,
+        }
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a comparison came to.
+
+    ``findings`` in the order of reports; ``ledger`` has the mean losses by stage; ``policy`` is the one that
+    the first seed learned through the curriculum; ``guards`` counts the guard's verdicts by stage.
+    """
+
+    seeds: int
+    findings: tuple[Finding, ...]
+    ledger: dict[str, float]
+    guards: dict[str, dict[str, int]]
+    policy: Policy
+
+    def finding(self, name: str) -> Finding:
+        """Return the finding of that name."""
+        for found in self.findings:
+            if found.name == name:
+                return found
+        raise TaskliftError(f"comparison: no finding {name!r}; there are {', '.join(f.name for f in self.findings)}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the comparison, without the policy, as JSON data."""
+        return {
+            "seeds": self.seeds,
+            "findings": [f.to_json() for f in self.findings],
+            "losses_by_stage": self.ledger,
+            "guards": self.guards,
+        }
+
+    def __str__(self) -> str:
+        lines = [f"curriculum against direct learning, {self.seeds} seeds, 95 % bootstrap intervals"]
+        width = max(len(f.name) for f in self.findings)
+        for f in self.findings:
+            lines.append(
+                f"  {f.name:<{width}}  {f.curriculum:>10.2f} against {f.direct:>10.2f}   "
+                f"difference {f.difference}   transfer {f.told}"
+            )
+        lines.append("  losses by stage: " + ", ".join(f"{s} {n:.1f}" for s, n in self.ledger.items()))
+        for stage, counts in self.guards.items():
+            lines.append(f"  guard of {stage!r}: " + ", ".join(f"{v} in {n}" for v, n in counts.items()))
+        return "\n".join(lines)
+
+
+def compare(
+    curriculum: Curriculum,
+    *,
+    seeds: int = 100,
+    seed: int = 0,
+    performance: Performance | None = None,
+    first: int = 10,
+    last: int = 20,
+) -> Comparison:
+    """Run a curriculum and direct learning over seeds and say, with intervals, whether transfer paid.
+
+    Parameters
+    ----------
+    curriculum
+        Its last stage is the target.
+    seeds, seed
+        So many, counting up from ``seed``.
+    performance
+        What is judged beside losses; default: returns where the world gives them, else steps.
+    first, last
+        Trials over which the jumpstart and the late performance are averaged.
+    """
+    whole_number(seeds, "compare, seeds", at_least=2)
+    whole_number(first, "compare, first", at_least=1)
+    whole_number(last, "compare, last", at_least=1)
+    curriculum.check()
+    target = replace(curriculum.stages[-1], prior=(), trust=None, guard=None, max_losses=None)
+    runs: list[CurriculumRun] = []
+    plain: list[Outcomes] = []
+    longer: list[Outcomes] = []
+    for number in range(seed, seed + seeds):
+        run = curriculum.run(number)
+        runs.append(run)
+        spent = [e for e in run.ledger.entries if e.stage != target.name]
+        budget = _with_source(target, sum(e.trials for e in spent), sum(e.steps for e in spent))
+        direct = Curriculum([budget], block=curriculum.block).run(number).outcomes[target.name]
+        longer.append(direct)
+        plain.append(_head(direct, target.trials, target.steps))
+    lifted = [run.outcomes[target.name] for run in runs]
+    if any(not len(outcomes) for outcomes in lifted):
+        raise TaskliftError("compare: a cap stopped the curriculum before its last stage began; raise the cap")
+    kind: Performance = performance or ("return" if hasattr(lifted[0], "returns") else "steps")
+    return Comparison(
+        seeds,
+        tuple(_findings(runs, lifted, plain, longer, kind, first, last)),
+        _mean_ledger([run.ledger for run in runs]),
+        _guard_counts(runs),
+        runs[0].policy,
+    )
+
+
+def _with_source(target: Any, trials: int, steps: int) -> Any:
+    """Return the target stage with what the earlier stages spent added to its budget."""
+    if target.repeats is not None:
+        raise TaskliftError("compare: the last stage is a sweep; give it trials= or steps= to compare with")
+    more = target
+    if target.trials is not None:
+        more = replace(more, trials=target.trials + trials)
+    if target.steps is not None:
+        more = replace(more, steps=target.steps + steps)
+    return more
+
+
+def _head(outcomes: Outcomes, trials: int | None, steps: int | None) -> Outcomes:
+    """Return the part of a longer run that the target's own budget would have bought."""
+    n = len(outcomes) if trials is None else min(trials, len(outcomes))
+    if steps is not None:
+        begun = np.cumsum(outcomes.steps) - outcomes.steps < steps
+        n = min(n, int(begun.sum()))
+    columns: dict[str, Any] = {
+        name: value[:n] for name, value in vars(outcomes).items() if isinstance(value, np.ndarray)
+    }
+    return replace(outcomes, **columns)
+
+
+def _curve(outcomes: Outcomes, kind: Performance) -> NDArray[np.float64]:
+    found: Any = getattr(outcomes, "returns" if kind == "return" else kind, None)
+    if found is None:
+        raise TaskliftError("compare: this world has no returns; judge by performance='steps' or 'success'")
+    return np.asarray(found, dtype=np.float64)
+
+
+def _findings(
+    runs: list[CurriculumRun],
+    lifted: list[Outcomes],
+    plain: list[Outcomes],
+    longer: list[Outcomes],
+    kind: Performance,
+    first: int,
+    last: int,
+) -> list[Finding]:
+    better: stats.Direction = "less" if kind == "steps" else "greater"
+
+    def curves(arm: list[Outcomes], part: slice) -> NDArray[np.float64]:
+        return np.array([_curve(outcomes, kind)[part].mean() for outcomes in arm])
+
+    def losses(arm: list[Outcomes]) -> NDArray[np.float64]:
+        return np.array([float(outcomes.losses.sum()) for outcomes in arm])
+
+    early, late = slice(None, first), slice(-last, None)
+    everything = np.array([float(run.ledger.total) for run in runs])
+    name = {"return": "return", "steps": "steps", "success": "success"}[kind]
+    return [
+        _finding(f"jumpstart ({name}, first {first} trials)", curves(lifted, early), curves(plain, early), better),
+        _finding(f"late {name} (last {last} trials)", curves(lifted, late), curves(plain, late), better),
+        _finding(f"late {name}, equal total budget", curves(lifted, late), curves(longer, late), better),
+        _finding("losses, target only", losses(lifted), losses(plain), "less"),
+        _finding("losses, all stages, equal total budget", everything, losses(longer), "less"),
+    ]
+
+
+def _finding(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64], better: stats.Direction) -> Finding:
+    interval = stats.paired_difference(ours, theirs, method="percentile")
+    held = stats.verdict(interval, better)
+    same = bool((ours == theirs).all())
+    told: Told = "helps" if held == "holds" else "hurts" if held == "does not hold" and not same else "can't tell"
+    return Finding(name, float(ours.mean()), float(theirs.mean()), interval, told)
+
+
+def _mean_ledger(ledgers: list[Ledger]) -> dict[str, float]:
+    names = list(dict.fromkeys(name for ledger in ledgers for name in ledger.by_stage()))
+    return {name: float(np.mean([ledger.by_stage().get(name, 0) for ledger in ledgers])) for name in names}
+
+
+def _guard_counts(runs: list[CurriculumRun]) -> dict[str, dict[str, int]]:
+    counts: dict[str, dict[str, int]] = {}
+    for run in runs:
+        for stage, report in run.guards.items():
+            tally = counts.setdefault(stage, {})
+            tally[report.verdict] = tally.get(report.verdict, 0) + 1
+    return counts

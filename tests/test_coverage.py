@@ -124,9 +124,7 @@ def test_areas_agree_with_cutting_by_half_planes(angles, outline, centre):
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)
-@given(
-    angle_sets, st.sampled_from([SQUARE, L_SHAPE]), st.floats(0, 2 * math.pi), st.tuples(st.floats(-99, 99))
-)
+@given(angle_sets, st.sampled_from([SQUARE, L_SHAPE]), st.floats(0, 2 * math.pi), st.tuples(st.floats(-99, 99)))
 def test_turning_and_moving_everything_changes_nothing(angles, outline, turn, move):
     building = star(angles, outline)
     matrix = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
@@ -150,9 +148,7 @@ def test_shares_of_a_generated_building(seed):
     building = generate(seed=seed)
     assert building.coverage.shape == (2 * building.n_edges,)
     assert (building.coverage >= 0).all()
-    np.testing.assert_allclose(
-        np.add.reduceat(building.coverage, building.indptr[:-1]), 1, rtol=0, atol=1e-14
-    )
+    np.testing.assert_allclose(np.add.reduceat(building.coverage, building.indptr[:-1]), 1, rtol=0, atol=1e-14)
     for node in range(0, building.n_nodes, 5):
         wanted = expected(building, node) if building.degree[node] > 1 else 1.0
         np.testing.assert_allclose(shares(building, node), wanted, rtol=0, atol=1e-9)

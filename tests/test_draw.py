@@ -125,9 +125,7 @@ def test_the_plan_shows_doors_across_their_corridors():
         edges = building.edge_of[building.indptr[door] : building.indptr[door + 1]]
         assert np.hypot(*(ends[1] - ends[0])) == pytest.approx(building.width_m[edges].min())
         beside = building.neighbour[building.indptr[door]]
-        assert (ends[1] - ends[0]) @ (
-            building.position_m[beside] - building.position_m[door]
-        ) == pytest.approx(0)
+        assert (ends[1] - ends[0]) @ (building.position_m[beside] - building.position_m[door]) == pytest.approx(0)
     assert legend_of(ax) == ["corridor", "room", "door", "other feature", "start"]
 
 

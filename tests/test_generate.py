@@ -117,9 +117,7 @@ def test_the_default_is_the_papers_building(seed):
         turn = turn_at(building, node)
         low, high = {BEND: (36, 54), CORNER: (61, 81)}.get(building.feature_class[node], (0, 0.2))
         assert low <= turn <= high
-    straight = np.hypot(
-        *(building.position_m[building.edges[:, 0]] - building.position_m[building.edges[:, 1]]).T
-    )
+    straight = np.hypot(*(building.position_m[building.edges[:, 0]] - building.position_m[building.edges[:, 1]]).T)
     np.testing.assert_allclose(building.length_m, straight, atol=5.1e-4)
 
 
@@ -131,9 +129,7 @@ def check_walls(building):
         shared = {a[0], a[-1]} & {b[0], b[-1]}
         if shared:
             (node,) = shared
-            assert (
-                lines[i].intersection(lines[j]).equals_exact(shapely.Point(building.position_m[node]), 1e-9)
-            )
+            assert lines[i].intersection(lines[j]).equals_exact(shapely.Point(building.position_m[node]), 1e-9)
         else:
             assert lines[i].distance(lines[j]) > (wa + wb) / 2 + 0.28
     boxes = {int(room): shapely.box(*box) for room, box in building.provenance["footprints"].items()}
@@ -169,8 +165,7 @@ def test_the_same_seed_gives_the_same_building_everywhere():
     # Studies are repeated on other machines, by seed: these must not move
     assert generate(seed=0).content_id == "8c3bec89872d2e1bef60eb3de8317590d84bef9e4d6fae90d807a27388cf393b"
     assert (
-        generate(30, 34, 9, 20, seed=1).content_id
-        == "bc326384003f784056f4e5dd19dbcc9db50da4b1519ab3cbc807b412c4053428"
+        generate(30, 34, 9, 20, seed=1).content_id == "bc326384003f784056f4e5dd19dbcc9db50da4b1519ab3cbc807b412c4053428"
     )
 
 

@@ -143,9 +143,7 @@ def test_kinds_classes_and_sizes_are_read_as_written():
 
 def test_arrays_cannot_be_changed():
     given = np.array([[0, 1], [1, 2]])
-    building = Building(
-        "x", [1, 1, 1], [1, 1, 1], [[0, 0], [1, 0], [2, 0]], [0] * 3, [0] * 3, given, [1, 1], [2, 2], 0
-    )
+    building = Building("x", [1, 1, 1], [1, 1, 1], [[0, 0], [1, 0], [2, 0]], [0] * 3, [0] * 3, given, [1, 1], [2, 2], 0)
     given[0, 0] = 2
     assert building.edges[0, 0] == 0
     for name in (

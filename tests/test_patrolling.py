@@ -100,9 +100,7 @@ def test_pixels_become_metres():
 
 def test_a_start_can_be_chosen():
     assert read_graph(real("cumberland"), start=7).start == 7
-    with pytest.raises(
-        TaskliftError, match=r"cumberland\.graph: start 40 is not a node of the file; expected 0 to 39"
-    ):
+    with pytest.raises(TaskliftError, match=r"cumberland\.graph: start 40 is not a node of the file; expected 0 to 39"):
         read_graph(real("cumberland"), start=40)
 
 

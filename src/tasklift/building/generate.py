@@ -98,9 +98,7 @@ def generate(
     )
 
 
-def _check(
-    intersections: int, corridors: int, rooms: int, features: int, doors: int | None, seed: int
-) -> int:
+def _check(intersections: int, corridors: int, rooms: int, features: int, doors: int | None, seed: int) -> int:
     """Refuse what cannot be, and return the number of doors."""
     given = {"intersections": intersections, "corridors": corridors, "rooms": rooms, "features": features}
     given["seed"] = seed
@@ -109,9 +107,7 @@ def _check(
     for key, value in given.items():
         least = 1 if key in ("intersections", "rooms") else 0
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-            raise TaskliftError(
-                f"generate: {key}: expected a whole number of at least {least}, found {value!r}"
-            )
+            raise TaskliftError(f"generate: {key}: expected a whole number of at least {least}, found {value!r}")
     if intersections > LARGEST:
         raise TaskliftError(f"generate: intersections: expected at most {LARGEST}, found {intersections}")
     if corridors < intersections - 1:
@@ -174,9 +170,7 @@ class _Plan:
         x, y = np.cumsum(np.round(spacing, 1), axis=1).tolist()
         order = sorted(lattice.nodes)
         index = {cell: i for i, cell in enumerate(order)}
-        position = [
-            (round(x[cell % lattice.stride], 2), round(y[cell // lattice.stride], 2)) for cell in order
-        ]
+        position = [(round(x[cell % lattice.stride], 2), round(y[cell // lattice.stride], 2)) for cell in order]
         chains = sorted(sorted([index[cell], index[cell + lattice.step[way]]]) for cell, way in lattice.edges)
         plan = cls(
             position=position,
@@ -211,9 +205,7 @@ class _Plan:
         for i in range(count):
             (x, y), (dx, dy) = self.position[self.holder[i]], STEP[self.way[i]]
             far_x, far_y, half = x + dx * _FRONT, y + dy * _FRONT, _DOOR_WIDTH / 2
-            bands.append(
-                (min(x, far_x) - half, min(y, far_y) - half, max(x, far_x) + half, max(y, far_y) + half)
-            )
+            bands.append((min(x, far_x) - half, min(y, far_y) - half, max(x, far_x) + half, max(y, far_y) + half))
         solid = np.array(bands + self.box)
         first, first_link = len(bands), len(self.chains)
         for i in range(count):
@@ -369,6 +361,5 @@ class _Plan:
             width_m=width,
             start=first_room,
             outline_m=buffered_hull(np.concatenate([position, corners])),
-            provenance=provenance
-            | {"footprints": {str(first_room + i): list(b) for i, b in enumerate(self.box)}},
+            provenance=provenance | {"footprints": {str(first_room + i): list(b) for i, b in enumerate(self.box)}},
         )

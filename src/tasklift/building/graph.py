@@ -246,9 +246,7 @@ class Building:
             "start": self.start,
             "outline": self.outline_m.tolist(),
             "nodes": nodes,
-            "edges": [
-                {"a": a, "b": b, "length_m": length, "width_m": width} for (a, b), length, width in corridors
-            ],
+            "edges": [{"a": a, "b": b, "length_m": length, "width_m": width} for (a, b), length, width in corridors],
             "provenance": json.loads(canonical_json(self.provenance)),
         }
 
@@ -291,10 +289,7 @@ class Building:
         outline = None
         if "outline" in document:
             outline = np.array(
-                [
-                    _read_point(f"{where}: outline point {i}", p)
-                    for i, p in enumerate(_list(where, document, "outline"))
-                ]
+                [_read_point(f"{where}: outline point {i}", p) for i, p in enumerate(_list(where, document, "outline"))]
             ).reshape(-1, 2)
         kind, feature_class, x, y, area, obstacles = zip(*nodes, strict=True) if nodes else ((),) * 6
         a, b, length, width = zip(*edges, strict=True) if edges else ((),) * 4
@@ -363,9 +358,7 @@ def _array(where: str, name: str, value: ArrayLike, dtype: Any, shape: tuple[int
             raise ValueError(f"whole numbers that fit {np.dtype(dtype)} expected")
     except (ValueError, TypeError, OverflowError) as error:
         raise TaskliftError(f"{where}: {name}: {error}") from error
-    if array.ndim != len(shape) or any(
-        n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
-    ):
+    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
         text = ", ".join("any" if n is None else str(n) for n in shape)
         raise TaskliftError(f"{where}: {name}: expected shape ({text}), found {array.shape}")
     return array
@@ -377,9 +370,7 @@ def _first(mask: ArrayLike) -> int | None:
 
 
 def _check_nodes(where: str, arrays: Mapping[str, Any]) -> None:
-    kind, feature, area, obstacles = (
-        arrays[key] for key in ("kind", "feature_class", "area_m2", "obstacles")
-    )
+    kind, feature, area, obstacles = (arrays[key] for key in ("kind", "feature_class", "area_m2", "obstacles"))
     position = arrays["position_m"]
     room, is_feature = kind == ROOM, kind == FEATURE
     with np.errstate(invalid="ignore"):
@@ -468,9 +459,7 @@ def _check_outline(where: str, outline: NDArray[np.float64], position: NDArray[n
         raise TaskliftError(f"{where}: outline: expected at least 3 points, found {len(outline)}")
     i = _first(~(np.abs(outline) <= 2 * LARGEST_M).all(axis=1))
     if i is not None:
-        raise TaskliftError(
-            f"{where}: outline point {i}: expected finite metres, found {outline[i].tolist()}"
-        )
+        raise TaskliftError(f"{where}: outline point {i}: expected finite metres, found {outline[i].tolist()}")
     polygon = shapely.Polygon(outline)
     if not polygon.is_valid or polygon.area <= 0:
         reason = shapely.is_valid_reason(polygon)
@@ -479,9 +468,7 @@ def _check_outline(where: str, outline: NDArray[np.float64], position: NDArray[n
     i = _first(shapely.distance(polygon, shapely.points(position)) > SMALLEST_M)
     if i is not None:
         x, y = position[i].tolist()
-        raise TaskliftError(
-            f"{where}: node {i} at ({x:g}, {y:g}) lies outside the outline; draw the outline around it"
-        )
+        raise TaskliftError(f"{where}: node {i} at ({x:g}, {y:g}) lies outside the outline; draw the outline around it")
 
 
 # -- checks on JSON ---------------------------------------------------------------------------------
@@ -531,9 +518,7 @@ def _read_node(where: str, i: int, node: Any) -> tuple[int, int, float, float, f
     if not isinstance(node, dict):
         raise TaskliftError(f"{at}: expected an object, found {type(node).__name__}")
     if node.get("kind") not in KIND_NAMES:
-        raise TaskliftError(
-            f"{at}: field 'kind': expected {', '.join(KIND_NAMES)}, found {node.get('kind')!r:.60}"
-        )
+        raise TaskliftError(f"{at}: field 'kind': expected {', '.join(KIND_NAMES)}, found {node.get('kind')!r:.60}")
     kind = _KINDS[node["kind"]]
     required: tuple[str, ...] = ("id", "kind", "x", "y")
     if kind == ROOM:

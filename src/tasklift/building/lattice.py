@@ -45,8 +45,7 @@ class Lattice:
         self.step = tuple(dx + self.stride * dy for dx, dy in STEP)
         size = self.stride * (self.rows + 2)
         self.inside = [
-            1 <= cell % self.stride <= self.columns and 1 <= cell // self.stride <= self.rows
-            for cell in range(size)
+            1 <= cell % self.stride <= self.columns and 1 <= cell // self.stride <= self.rows for cell in range(size)
         ]
         self.corridor, self.room = [0] * size, [0] * size
         self.taken = [False] * size  # by a node
@@ -77,9 +76,7 @@ class Lattice:
         self.nodes = [left + x + self.stride * (bottom + y) for x, y in cells[:nodes]]
         for node in self.nodes:
             self.taken[node] = True
-        self.edges = [
-            (node, way) for node in self.nodes for way in (EAST, NORTH) if self.taken[node + self.step[way]]
-        ]
+        self.edges = [(node, way) for node in self.nodes for way in (EAST, NORTH) if self.taken[node + self.step[way]]]
         for node, way in self.edges:
             self._flip(node, way)
         order = rng.permutation(len(self.edges)).tolist()

@@ -85,9 +85,7 @@ def corridor_floor(building: Building) -> Any:
             reach = np.zeros(len(edges))
             if len(edges) == 2 and half[edges[0]] == half[edges[1]]:
                 h = half[edges[0]]
-                line = shapely.LineString(
-                    [position[node] + h * away[0], position[node], position[node] + h * away[1]]
-                )
+                line = shapely.LineString([position[node] + h * away[0], position[node], position[node] + h * away[1]])
                 joints.append(line.buffer(h, cap_style="flat", join_style="mitre", mitre_limit=2.0))
             else:
                 aside = np.column_stack([-away[:, 1], away[:, 0]]) * half[edges][:, None]
@@ -122,9 +120,7 @@ def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend
     corridors = corridor_floor(building)
     ax.add_patch(_patch(shapely.Polygon(building.outline_m), facecolor=_GROUND, edgecolor="none", zorder=0))
     floor = shapely.union_all([corridors, *rooms.values()], grid_size=0.001)
-    ax.add_patch(
-        _patch(floor, facecolor=_CORRIDOR, edgecolor=_WALL, linewidth=1.6, joinstyle="round", zorder=1)
-    )
+    ax.add_patch(_patch(floor, facecolor=_CORRIDOR, edgecolor=_WALL, linewidth=1.6, joinstyle="round", zorder=1))
     # Where a wall would cross a corridor or the inside of another room
     all_rooms = shapely.union_all(list(rooms.values()), grid_size=0.001)
     inside = shapely.union_all([corridors, all_rooms.buffer(-0.01)], grid_size=0.001)
@@ -151,13 +147,9 @@ def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend
             handles.append(Line2D([], [], color=_DOOR, linewidth=2.2, label="door"))
         if others.any():
             handles.append(
-                Line2D(
-                    [], [], marker="o", color=_FEATURE, markersize=4, linestyle="none", label="other feature"
-                )
+                Line2D([], [], marker="o", color=_FEATURE, markersize=4, linestyle="none", label="other feature")
             )
-        handles.append(
-            Line2D([], [], marker="*", markersize=10, color=_START, linestyle="none", label="start")
-        )
+        handles.append(Line2D([], [], marker="*", markersize=10, color=_START, linestyle="none", label="start"))
         if nodes:
             handles.append(Line2D([], [], **_hostile_style(), markersize=7, label="hostile"))
         _legend(ax, handles)
@@ -182,9 +174,7 @@ def draw_graph(building: Building, ax: Axes, hostiles: Iterable[int] = (), legen
 
     nodes = _nodes(building, hostiles)
     size = float(np.clip(70 / math.sqrt(building.n_nodes), 3.5, 9.0))
-    lines = LineCollection(
-        list(building.position_m[building.edges]), colors=_EDGE, linewidths=size / 5, zorder=1
-    )
+    lines = LineCollection(list(building.position_m[building.edges]), colors=_EDGE, linewidths=size / 5, zorder=1)
     ax.add_collection(lines)
     door = building.feature_class == DOOR
     signs: list[tuple[str, NDArray[np.bool_], dict[str, Any]]] = [
@@ -206,9 +196,7 @@ def draw_graph(building: Building, ax: Axes, hostiles: Iterable[int] = (), legen
         "markeredgecolor": _START,
         "linestyle": "none",
     }
-    ax.plot(
-        *building.position_m[building.start], **ring, markersize=size * 2.1, markeredgewidth=2.0, zorder=4
-    )
+    ax.plot(*building.position_m[building.start], **ring, markersize=size * 2.1, markeredgewidth=2.0, zorder=4)
     handles.append(Line2D([], [], **ring, markersize=9, markeredgewidth=2.0, label="start"))
     ax.plot(*building.position_m[nodes].T, **_hostile_style(), markersize=size * 1.2, zorder=5)
     if nodes:
@@ -230,9 +218,7 @@ def figure(building: Building, hostiles: Iterable[int] = ()) -> Figure:
     width, height = high - low
     wide = width > 1.8 * height
     across = 9.0 if wide else 5.5
-    panel = (
-        float(np.clip(1.12 * across * height / width, 1.5, 9.0)) + 0.4
-    )  # with the scale bar and the legend
+    panel = float(np.clip(1.12 * across * height / width, 1.5, 9.0)) + 0.4  # with the scale bar and the legend
     drawn = Figure(figsize=(across, 2 * panel) if wide else (2 * across, panel), layout="constrained")
     first, second = drawn.subplots(2, 1) if wide else drawn.subplots(1, 2)
     draw_plan(building, first, hostiles)
@@ -278,16 +264,12 @@ def _patch(geometry: Any, **style: Any) -> Any:
 
     rings = []
     for polygon in getattr(geometry, "geoms", [geometry]):
-        rings += [
-            Path(np.asarray(ring.coords), closed=True) for ring in (polygon.exterior, *polygon.interiors)
-        ]
+        rings += [Path(np.asarray(ring.coords), closed=True) for ring in (polygon.exterior, *polygon.interiors)]
     return PathPatch(Path.make_compound_path(*rings), **style)
 
 
 def _bounds(building: Building, rooms: dict[int, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    points = np.concatenate(
-        [building.outline_m, *(np.asarray(room.exterior.coords) for room in rooms.values())]
-    )
+    points = np.concatenate([building.outline_m, *(np.asarray(room.exterior.coords) for room in rooms.values())])
     return points.min(axis=0), points.max(axis=0)
 
 

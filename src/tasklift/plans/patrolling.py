@@ -253,9 +253,7 @@ def _parse(path: str | os.PathLike[str]) -> _Graph:
             listed[node, other] = cost * resolution, fault
     if words.next != len(words.words):
         words.next += 1
-        raise words.fault(
-            f"expected the end of the file after {n} nodes, found {words.words[words.next - 1][0]!r:.40}"
-        )
+        raise words.fault(f"expected the end of the file after {n} nodes, found {words.words[words.next - 1][0]!r:.40}")
     for (a, b), (cost, fault) in listed.items():
         if (b, a) not in listed:
             raise fault
@@ -304,15 +302,8 @@ def _add_doors(graph: _Graph, rooms: Sequence[int], start: int) -> None:
     while True:
         is_door = [feature == DOOR for feature in graph.feature_class]
         beside = {node for edge in graph.length if start in edge for node in edge}
-        plain = [
-            edge
-            for edge in graph.length
-            if not is_door[edge[0]] and not is_door[edge[1]] and start not in edge
-        ]
-        if (
-            not plain
-            or sum(is_door[node] and node not in beside for node in range(len(is_door))) >= FEWEST_DOORS
-        ):
+        plain = [edge for edge in graph.length if not is_door[edge[0]] and not is_door[edge[1]] and start not in edge]
+        if not plain or sum(is_door[node] and node not in beside for node in range(len(is_door))) >= FEWEST_DOORS:
             return
         _insert_door(graph, *min(plain, key=lambda edge: (-graph.length[edge], edge)))
 

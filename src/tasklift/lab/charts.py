@@ -82,9 +82,7 @@ def curves_svg(
     longest = max(len(y) for y, _, _ in rows)
     across = np.arange(1, longest + 1, dtype=np.float64) if x is None else np.asarray(x, dtype=np.float64)
     if across.shape != (longest,) or not np.isfinite(across).all():
-        raise TaskliftError(
-            f"report.curves: x has shape {across.shape}, expected ({longest},) finite numbers"
-        )
+        raise TaskliftError(f"report.curves: x has shape {across.shape}, expected ({longest},) finite numbers")
     known = np.concatenate([part[np.isfinite(part)] for row in rows for part in row if part is not None])
     ends = y_range or ((min(0.0, float(known.min())), float(known.max())) if known.size else (0.0, 1.0))
     marks = ticks(*ends)
@@ -128,9 +126,7 @@ def _checked(
     low, high = (None if v is None else np.asarray(v, dtype=np.float64) for v in (one.low, one.high))
     for part in (y, low, high):
         if part is not None and (part.shape != y.shape or part.ndim != 1 or not part.size):
-            raise TaskliftError(
-                f"report.curves: series {one.name!r} has shape {part.shape}, expected one (T,)"
-            )
+            raise TaskliftError(f"report.curves: series {one.name!r} has shape {part.shape}, expected one (T,)")
     return y, low, high
 
 
@@ -160,20 +156,15 @@ def _axes(y_marks: list[float], x_marks: list[float], sx: Any, sy: Any, x_label:
     right, base = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
     parts = []
     for mark in y_marks:
-        parts.append(
-            f'<line class="grid" x1="{_LEFT}" x2="{right}" y1="{sy(mark):.1f}" y2="{sy(mark):.1f}"/>'
-        )
+        parts.append(f'<line class="grid" x1="{_LEFT}" x2="{right}" y1="{sy(mark):.1f}" y2="{sy(mark):.1f}"/>')
         parts.append(f'<text class="tick end" x="{_LEFT - 7}" y="{sy(mark) + 4:.1f}">{number(mark)}</text>')
     for mark in x_marks:
         parts.append(f'<text class="tick mid" x="{sx(mark):.1f}" y="{base + 17}">{number(mark)}</text>')
     middle = (_TOP + base) / 2
     parts.append(f'<line class="axis" x1="{_LEFT}" x2="{right}" y1="{base}" y2="{base}"/>')
+    parts.append(f'<text class="label mid" x="{(_LEFT + right) / 2}" y="{_HEIGHT - 8}">{escape(x_label)}</text>')
     parts.append(
-        f'<text class="label mid" x="{(_LEFT + right) / 2}" y="{_HEIGHT - 8}">{escape(x_label)}</text>'
-    )
-    parts.append(
-        f'<text class="label mid" transform="rotate(-90 14 {middle})" x="14" y="{middle}">'
-        f"{escape(y_label)}</text>"
+        f'<text class="label mid" transform="rotate(-90 14 {middle})" x="14" y="{middle}">{escape(y_label)}</text>'
     )
     return "".join(parts)
 
@@ -252,9 +243,7 @@ def bars_svg(scene: Mapping[str, Any]) -> str:
     return "".join(parts)
 
 
-def _bar(
-    scene: Mapping[str, Any], x: float, y: float, i: int, j: int, points: Any, sin_t: float, cos_t: float
-) -> str:
+def _bar(scene: Mapping[str, Any], x: float, y: float, i: int, j: int, points: Any, sin_t: float, cos_t: float) -> str:
     r = 0.32
     base, top = sorted((max(0.0, scene["ticks"][0]), scene["z"][i][j]))
     near_x, near_y = x + (r if sin_t > 0 else -r), y + (r if cos_t > 0 else -r)

@@ -68,7 +68,7 @@ def run(
     workers
         Threads, or the size of a local Ray; by default one per core.
     address
-        For Ray: of a running cluster (``"auto"``, ``"ray://host:10001"``); by default a local one is started.
+        For Ray: of a running cluster (``"auto"`` or ``"HOST:PORT"``); by default a local one is started.
 
     Raises
     ------

@@ -77,8 +77,8 @@ def _connect(ray: Any, workers: int | None, address: str | None) -> None:
         ray.init(address=address or "local", **options)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise TaskliftError(
-            f"Ray at {address or 'this machine'}: cannot connect ({error}); is it running, and of the same "
-            "Ray and Python version?"
+            f"Ray at {address or 'this machine'}: cannot connect ({error}); it must run the same Ray and Python "
+            "version, and where it asks for a token, RAY_AUTH_MODE=token must be set here"
         ) from error
 
 
@@ -91,8 +91,7 @@ def _knock(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=10).close()
     except (OSError, ValueError) as error:
         raise TaskliftError(
-            f"Ray at {address}: nobody answers ({error}); expected 'auto', HOST:PORT or ray://HOST:PORT of a "
-            "running cluster"
+            f"Ray at {address}: nobody answers ({error}); expected 'auto' or HOST:PORT of a running cluster"
         ) from error
 
 

@@ -157,9 +157,7 @@ class Report:
         script = (_HERE / "report.js").read_text(encoding="utf-8")
         allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         # besides escaping: a browser runs this one script only, and fetches nothing
-        policy = (
-            f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{allowed}'"
-        )
+        policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{allowed}'"
         links = "".join(f'<a href="#s{i}">{escape(text)}</a>' for i, text in enumerate(self._sections, 1))
         body = []
         for kind, group in groupby(self._parts, key=lambda part: part[0]):
@@ -171,9 +169,7 @@ class Report:
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f'<meta name="generator" content="tasklift {tasklift.__version__}">\n'
             f"<title>{escape(self.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-            f"<h1>{escape(self.title)}</h1>\n<nav>{links}</nav>\n"
-            + "\n".join(body)
-            + f"\n<script>{script}</script>"
+            f"<h1>{escape(self.title)}</h1>\n<nav>{links}</nav>\n" + "\n".join(body) + f"\n<script>{script}</script>"
             "\n</body>\n</html>\n"
         )
 
@@ -184,9 +180,7 @@ class Report:
     def _chart(self, kind: str, title: str, inner: str, data: Any, caption: str, group: str) -> Report:
         head = f"<h3>{escape(title)}</h3>" if title else ""
         block = f'<script type="application/json">{data_block(data)}</script>'
-        return self._add(
-            group, f'<figure data-chart="{kind}">{head}{inner}{_caption(caption)}{block}</figure>'
-        )
+        return self._add(group, f'<figure data-chart="{kind}">{head}{inner}{_caption(caption)}{block}</figure>')
 
     def _add(self, kind: str, text: str) -> Report:
         self._parts.append((kind, text))

@@ -54,9 +54,7 @@ def show(path: str | os.PathLike[str]) -> list[Table]:
             "spec": store.spec.id,
             "cells": f"{len(store)} of {store.planned or len(store)}",
             "detail": store.detail,
-            "written by": ", ".join(
-                f"tasklift {version}" for version in sorted(set(store.origins().values()))
-            ),
+            "written by": ", ".join(f"tasklift {version}" for version in sorted(set(store.origins().values()))),
         }
         settings = {f"settings.{key}": canonical_json(value) for key, value in store.spec.settings.items()}
         means: dict[tuple[str, str], dict[str, list[float]]] = {}
@@ -100,9 +98,7 @@ def compare(
     shared = sorted(left.keys() & right.keys())
     if not shared:
         there = sorted({key[1] for key in left.keys() | right.keys()})
-        raise TaskliftError(
-            f"{first}, {other}: no cells in common for arms {arms or there}; `runs show` lists them"
-        )
+        raise TaskliftError(f"{first}, {other}: no cells in common for arms {arms or there}; `runs show` lists them")
     rows, p = [], []
     for reading, arm in sorted({key[:2] for key in shared}):
         keys = [key for key in shared if key[:2] == (reading, arm)]
@@ -145,9 +141,7 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: s
             count = (_write_csv if target.suffix == ".csv" else _write_parquet)(part, columns, batches)
             os.replace(part, target)
         except OSError as error:
-            raise TaskliftError(
-                f"{target}: cannot be written ({error.strerror}); choose another place"
-            ) from error
+            raise TaskliftError(f"{target}: cannot be written ({error.strerror}); choose another place") from error
         finally:
             with suppress(OSError):
                 part.unlink(missing_ok=True)
@@ -195,9 +189,7 @@ def _columns(store: Store, what: str) -> dict[str, type]:
         kinds[name] = types.pop() if len(types) == 1 else mixed
     own = _KEYS if what == "cells" else _KEYS | {"stage": str, "trial": int}
     if clash := kinds.keys() & own.keys():
-        raise TaskliftError(
-            f"{store.path}: columns named {sorted(clash)} clash with the cell's own; rename them"
-        )
+        raise TaskliftError(f"{store.path}: columns named {sorted(clash)} clash with the cell's own; rename them")
     return own | kinds
 
 
@@ -239,9 +231,7 @@ def _write_parquet(path: Path, columns: dict[str, type], batches: Iterator[dict[
         import pyarrow
         from pyarrow import parquet
     except ImportError as error:
-        raise TaskliftError(
-            "Parquet needs pyarrow: pip install 'tasklift[parquet]', or export to .csv"
-        ) from error
+        raise TaskliftError("Parquet needs pyarrow: pip install 'tasklift[parquet]', or export to .csv") from error
     kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns.items()])
     count = 0

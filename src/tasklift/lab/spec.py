@@ -91,14 +91,10 @@ class CellResult:
         for stage, columns in self.stages.items():
             shapes = {np.shape(column) for column in columns.values()}
             if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-                raise TaskliftError(
-                    f"stage {stage!r}: columns of shapes {sorted(shapes)}, expected one (trials,)"
-                )
+                raise TaskliftError(f"stage {stage!r}: columns of shapes {sorted(shapes)}, expected one (trials,)")
 
 
-def grid(
-    readings: Iterable[str], maps: Iterable[str], seeds: Iterable[int], arms: Iterable[str]
-) -> list[Cell]:
+def grid(readings: Iterable[str], maps: Iterable[str], seeds: Iterable[int], arms: Iterable[str]) -> list[Cell]:
     """All combinations, the arms of one (reading, map, seed) next to each other."""
     maps, seeds, arms = list(maps), list(seeds), list(arms)
     return [Cell(r, m, int(s), a) for r in readings for m in maps for s in seeds for a in arms]
@@ -117,11 +113,7 @@ def differences(a: Any, b: Any, where: str = "") -> list[str]:
                 found.append(f"{path}: only {side} has it ({_short(value)})")
         return found
     if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
-        return [
-            line
-            for i, (x, y) in enumerate(zip(a, b, strict=True))
-            for line in differences(x, y, f"{where}[{i}]")
-        ]
+        return [line for i, (x, y) in enumerate(zip(a, b, strict=True)) for line in differences(x, y, f"{where}[{i}]")]
     return [] if a == b and type(a) is type(b) else [f"{where}: {_short(a)}, not {_short(b)}"]
 
 

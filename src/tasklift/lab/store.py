@@ -61,27 +61,17 @@ def _explained(path: Path) -> Iterator[None]:
     try:
         yield
     except (zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise TaskliftError(
-            f"{path}: damaged ({error}); restore a copy, or move it away and run again"
-        ) from error
+        raise TaskliftError(f"{path}: damaged ({error}); restore a copy, or move it away and run again") from error
     except sqlite3.Error as error:
         text = str(error)
         if "full" in text:
-            line = (
-                "the disk is full; what was committed is safe: free some space and run the same command again"
-            )
+            line = "the disk is full; what was committed is safe: free some space and run the same command again"
         elif "disk I/O" in text:
-            line = (
-                f"cannot be written ({text}: full disk, quota, or failing drive); what was committed is safe"
-            )
+            line = f"cannot be written ({text}: full disk, quota, or failing drive); what was committed is safe"
         elif "readonly" in text or "unable to open" in text:
-            line = (
-                f"cannot be opened or written ({text}); check folder and permissions, or choose another --out"
-            )
+            line = f"cannot be opened or written ({text}); check folder and permissions, or choose another --out"
         elif "not a database" in text or "malformed" in text or "decode" in text:
-            line = (
-                f"damaged, or not an experiment file ({text}); restore a copy, or move it away and run again"
-            )
+            line = f"damaged, or not an experiment file ({text}); restore a copy, or move it away and run again"
         elif "locked" in text:
             line = "another process holds it for too long; try again when that one is done"
         else:
@@ -145,9 +135,7 @@ class Store:
         where = Path(path)
         where = where / FILE_NAME if where.is_dir() else where
         if not where.is_file():
-            raise TaskliftError(
-                f"{where}: no such experiment; `tasklift runs list FOLDER` shows which there are"
-            )
+            raise TaskliftError(f"{where}: no such experiment; `tasklift runs list FOLDER` shows which there are")
         with _explained(where):
             connection = _connect_to_read(where)
             try:
@@ -262,9 +250,7 @@ class Store:
             for key, cell, summary, crc in self._selected(reading, map, seed, arm):
                 packed = self._packed(key, cell, summary)
                 if not _intact(packed, crc):
-                    raise TaskliftError(
-                        f"{self.path}: cell {cell} is damaged; restore a copy, or run it afresh"
-                    )
+                    raise TaskliftError(f"{self.path}: cell {cell} is damaged; restore a copy, or run it afresh")
                 yield (
                     cell,
                     CellResult(
@@ -324,9 +310,7 @@ class Store:
             values[i, : len(row)] = row
         return Curves(values, cells)
 
-    def outlines(
-        self, *, reading: str | None = None, arm: str | None = None
-    ) -> Iterator[tuple[Cell, dict[str, Any]]]:
+    def outlines(self, *, reading: str | None = None, arm: str | None = None) -> Iterator[tuple[Cell, dict[str, Any]]]:
         """Yield cells with their summaries only, which is quick, in the order of :meth:`select`."""
         with _explained(self.path):
             for _, cell, summary, _ in self._selected(reading, None, None, arm):
@@ -362,9 +346,7 @@ class Store:
             yield row[0], Cell(*row[1:5]), row[5], row[6]
 
     def _packed(self, key: int, cell: Cell, summary: str) -> Packed:
-        trials = self._db.execute(
-            "SELECT stage, n, columns FROM trials WHERE cell = ? ORDER BY stage", (key,)
-        )
+        trials = self._db.execute("SELECT stage, n, columns FROM trials WHERE cell = ? ORDER BY stage", (key,))
         extra = self._db.execute("SELECT name, data FROM attachments WHERE cell = ? ORDER BY name", (key,))
         return Packed(cell, summary, tuple(trials), tuple(extra))
 
@@ -412,9 +394,7 @@ def _is_empty(connection: sqlite3.Connection, path: Path) -> bool:
     if not tables and not application:
         return True
     if application != _APPLICATION:
-        raise TaskliftError(
-            f"{path}: a database of another program; nothing was touched, choose another place"
-        )
+        raise TaskliftError(f"{path}: a database of another program; nothing was touched, choose another place")
     if version > _VERSION:
         raise TaskliftError(
             f"{path}: version {version} of the experiment file, this release reads up to {_VERSION}; "

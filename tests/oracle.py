@@ -89,21 +89,38 @@ class Oracle:
     gives the row of an input of the full task; ``signal[s][a]`` are the local signals.
     """
 
-    def __init__(self, mission, weights, outputs, row_of, signal, reinforcement, *, learn=True, sweep=False,
-                 time_reward=0.1):
+    def __init__(
+        self,
+        mission,
+        weights,
+        outputs,
+        row_of,
+        signal,
+        reinforcement,
+        *,
+        learn=True,
+        sweep=False,
+        time_reward=0.1,
+    ):
         self.mission, self.building, self.reading = mission, mission.building, mission.reading
         self.weights, self.outputs, self.row_of, self.signal = weights, outputs, row_of, signal
-        self.reinforcement, self.learn, self.sweep, self.time_reward = reinforcement, learn, sweep, time_reward
+        self.reinforcement, self.learn, self.sweep, self.time_reward = (
+            reinforcement,
+            learn,
+            sweep,
+            time_reward,
+        )
         b = self.building
         self.position = [tuple(map(float, p)) for p in b.position_m]
         self.ways = [  # of each node: (edge, far node, CovA), by ascending far node
-            [(int(b.edge_of[h]), int(b.neighbour[h]), float(b.coverage[h]))
-             for h in range(b.indptr[v], b.indptr[v + 1])]
+            [
+                (int(b.edge_of[h]), int(b.neighbour[h]), float(b.coverage[h]))
+                for h in range(b.indptr[v], b.indptr[v + 1])
+            ]
             for v in range(b.n_nodes)
         ]
         self.cost = [  # [2] millimetres, stretched in corridors narrower than 2 m
-            max(1, round(1000.0 * float(b.length_m[e]) * max(1.0, 2.0 / float(b.width_m[e]))))
-            for e in range(b.n_edges)
+            max(1, round(1000.0 * float(b.length_m[e]) * max(1.0, 2.0 / float(b.width_m[e])))) for e in range(b.n_edges)
         ]
         self.trial_number = 0
 
@@ -119,8 +136,12 @@ class Oracle:
         self.resolved = set()
         self.visited = set()
         self.unsearched = {  # [13]
-            v: max(1, math.ceil(float(building.area_m2[v]) / self.reading.search_rate_m2) + int(building.obstacles[v]))
-            for v in range(building.n_nodes) if building.kind[v] == ROOM
+            v: max(
+                1,
+                math.ceil(float(building.area_m2[v]) / self.reading.search_rate_m2) + int(building.obstacles[v]),
+            )
+            for v in range(building.n_nodes)
+            if building.kind[v] == ROOM
         }
         self.steps = self.messages = self.losses = 0
         self.pairs_used = []
@@ -132,8 +153,11 @@ class Oracle:
             return set(self.mission.hostiles)
         start = self.building.start
         beside = [far for _, far, _ in self.ways[start]]
-        doors = [v for v in range(self.building.n_nodes)
-                 if self.building.feature_class[v] == 4 and v != start and v not in beside]
+        doors = [
+            v
+            for v in range(self.building.n_nodes)
+            if self.building.feature_class[v] == 4 and v != start and v not in beside
+        ]
         chosen = set()
         for k in range(self.mission.hostiles):
             i = k + int(uniform(key, 0, PLACE_DRAW, k) * (len(doors) - k))
@@ -246,9 +270,9 @@ class Oracle:
         first_time = (row, out) not in self.pairs_used
         if first_time:
             self.pairs_used.append((row, out))
-        if self.learn and not (self.sweep and self.reinforcement.sweep_credit == "all"):
-            if first_time or self.reinforcement.credit == "decision":
-                self.reinforce(row, out, self.signal[row][out])
+        at_once = self.learn and not (self.sweep and self.reinforcement.sweep_credit == "all")
+        if at_once and (first_time or self.reinforcement.credit == "decision"):
+            self.reinforce(row, out, self.signal[row][out])
 
     def alert(self):
         """[11] Whoever stops at an unresolved feature is heard by those near it who suspect nothing yet."""
@@ -256,8 +280,11 @@ class Oracle:
             return
         suspected = {self.facing(robot) for robot in self.living if self.stops(robot)} - {None}
         for robot in self.living:
-            heard = [f for f in suspected
-                     if math.dist(self.position[robot.node], self.position[f]) <= self.reading.alert_range_m]
+            heard = [
+                f
+                for f in suspected
+                if math.dist(self.position[robot.node], self.position[f]) <= self.reading.alert_range_m
+            ]
             if robot.danger == 0 and heard:
                 robot.danger, robot.about = 1, max(heard)
                 self.messages += 1
@@ -305,8 +332,10 @@ class Oracle:
         goal = self.goal(robot)
         near = [1.0] * len(ways)
         if goal is not None and goal != robot.node:
-            near = [1.0 / (0.5 + math.dist(self.position[far], self.position[goal])) ** self.reading.goal_sharpness
-                    for _, far, _ in ways]
+            near = [
+                1.0 / (0.5 + math.dist(self.position[far], self.position[goal])) ** self.reading.goal_sharpness
+                for _, far, _ in ways
+            ]
         covered = shares([coverage for _, _, coverage in ways])
         near = shares(near)
         ca = robot.force["CA"]

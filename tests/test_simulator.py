@@ -5,14 +5,13 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-import oracle as oracle_module
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import Oracle
 from scipy import stats
-from worlds import missions, reinforcements
 
+import oracle as oracle_module
+from oracle import Oracle
 from tasklift.building import kernel
 from tasklift.building.generate import generate
 from tasklift.building.graph import FEATURE
@@ -29,6 +28,7 @@ from tasklift.errors import TaskliftError
 from tasklift.learn import Reinforcement, reinforce
 from tasklift.policy import Policy
 from tasklift.task import Task
+from worlds import missions, reinforcements
 
 CASES = settings(max_examples=500, deadline=None, derandomize=True)
 
@@ -75,14 +75,20 @@ def assert_same_state(mission, lane, oracle):
         assert int(mine["since"]) == theirs.waited
         known = {e for e in range(building.n_edges) if int(lane.maps[theirs.number, e // 64]) >> (e % 64) & 1}
         assert known == theirs.map
-    teams = {frozenset(np.flatnonzero((lane.robots["team"] == t) & (lane.robots["alive"] == 1)).tolist())
-             for t in range(count["teams"])}
+    teams = {
+        frozenset(np.flatnonzero((lane.robots["team"] == t) & (lane.robots["alive"] == 1)).tolist())
+        for t in range(count["teams"])
+    }
     assert teams == {frozenset(robot.number for robot in team) for team in oracle.teams}
     assert set(np.flatnonzero(lane.sites["hostile"]).tolist()) == oracle.hostiles
     assert set(np.flatnonzero(lane.sites["resolved"]).tolist()) == oracle.resolved
     assert {v: int(n) for v, n in enumerate(lane.sites["unsearched"]) if n} == oracle.unsearched
     assert set(np.flatnonzero(lane.visited).tolist()) == oracle.visited
-    assert (count["messages"], count["losses"], count["step"]) == (oracle.messages, oracle.losses, oracle.steps)
+    assert (count["messages"], count["losses"], count["step"]) == (
+        oracle.messages,
+        oracle.losses,
+        oracle.steps,
+    )
     assert lane.weights.tolist() == oracle.weights
 
 
@@ -107,9 +113,7 @@ def agree(mission, reinforcement, weight_seed, seed, sweep, learn, trials=2):
             oracle.step(None if fixed < 0 else fixed)
             assert_same_state(mission, lane, oracle)
             assert {0: "on", 1: "success", 2: "failure"}[state] == oracle.status()
-        steps = kernel.end_trial(
-            simulator.rules, learner, lane, state == 1, fixed, total / trial if trial else -1.0
-        )
+        steps = kernel.end_trial(simulator.rules, learner, lane, state == 1, fixed, total / trial if trial else -1.0)
         assert steps == oracle.end(state == 1, fixed, total / trial if trial else None)
         total += steps
         assert lane.weights.tolist() == oracle.weights
@@ -149,8 +153,18 @@ def oracle_run(mission, task, weights, reinforcement, fixed, seed, stage):
         steps = oracle.end(success, output, total / trial if trial else None)
         total += steps
         kinds = [sum(robot.kind is kind for robot in oracle.living) for kind in mission.team]
-        rows.append((steps, success, oracle.losses, len(oracle.teams), len(oracle.hostiles),
-                     len(oracle.visited) / mission.building.n_edges, oracle.messages, *kinds))
+        rows.append(
+            (
+                steps,
+                success,
+                oracle.losses,
+                len(oracle.teams),
+                len(oracle.hostiles),
+                len(oracle.visited) / mission.building.n_edges,
+                oracle.messages,
+                *kinds,
+            )
+        )
     return rows, oracle.weights
 
 
@@ -163,9 +177,7 @@ def test_runs_report_what_the_oracle_counts(mission, reinforcement, weight_seed,
     # both stops and moves: a sweep's stopped trials are cut short by the kernel, and must not tell
     fixed = np.array([weight_seed % task.shape[1], 3, task.shape[1] - 1]) if sweep else None
     expected, expected_weights = oracle_run(mission, task, weights, reinforcement, fixed, seed, 7)
-    out = mission.run(
-        task, weights, trials=3, seed=seed, stage=7, reinforcement=reinforcement, outputs=fixed
-    )
+    out = mission.run(task, weights, trials=3, seed=seed, stage=7, reinforcement=reinforcement, outputs=fixed)
     found = zip(out.steps, out.success, out.losses, out.teams_left, out.hostiles_left, out.explored, out.messages,
                 *out.robots_left.T, strict=True)  # fmt: skip
     assert [tuple(row) for row in found] == expected

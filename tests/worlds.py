@@ -67,7 +67,12 @@ def missions(draw, most_nodes=14, most_robots=12, readings=readings):
     """A random mission; about one in three without any hostile."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     building = random_building(rng, draw(st.integers(2, most_nodes)))
-    kinds = [Kind("scout", 1500, False), Kind("weapon", 1000, True), Kind("tank", 700, True), Kind("bee", 2600, False)]
+    kinds = [
+        Kind("scout", 1500, False),
+        Kind("weapon", 1000, True),
+        Kind("tank", 700, True),
+        Kind("bee", 2600, False),
+    ]
     total = draw(st.integers(1, most_robots))
     split = rng.multinomial(total, rng.dirichlet(np.ones(4)))
     team = {kind: int(n) for kind, n in zip(kinds, split, strict=True)}

@@ -6,16 +6,23 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tasklift import __version__
 from tasklift.errors import TaskliftError
 
+if TYPE_CHECKING:
+    from tasklift.lab import Progress
+
 #: Command groups that live with their wing: name -> (module, attribute, one line of help).
 _ELSEWHERE = {
-    "map": ("tasklift.plans.cli", "map_group", "Turn floor plans into buildings; look at them, check, correct, export."),
+    "map": (
+        "tasklift.plans.cli",
+        "map_group",
+        "Turn floor plans into buildings; look at them, check, correct, export.",
+    ),
     "watch": ("tasklift.watch.cli", "watch_command", "Replay trials in the browser."),
 }
 
@@ -75,10 +82,20 @@ def _experiment_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--maps", type=_positive, default=6, show_default=True, help="Generated buildings.")
 @click.option("--seeds", type=_positive, default=5, show_default=True, help="Seeds per building.")
 @click.option("--trials", type=_positive, default=100, show_default=True, help="Trials on the full task.")
-@click.option("--survey", type=click.IntRange(min=2), default=60, show_default=True,
-              help="Generated buildings for Figure 3 and its claims.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("reproduction"), show_default=True,
-              help="Folder for the report; the same command resumes there.")
+@click.option(
+    "--survey",
+    type=click.IntRange(min=2),
+    default=60,
+    show_default=True,
+    help="Generated buildings for Figure 3 and its claims.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("reproduction"),
+    show_default=True,
+    help="Folder for the report; the same command resumes there.",
+)
 @_experiment_options
 def reproduce(**options: Any) -> None:
     """Reproduce the paper: arms, presets, maps, seeds; figures, claims, report.html."""
@@ -98,8 +115,12 @@ def reproduce(**options: Any) -> None:
 @click.option("--preset", type=click.Choice(["scattered", "cohesive"]), default="scattered", show_default=True)
 @click.option("--seeds", type=_positive, default=5, show_default=True)
 @click.option("--trials", type=_positive, default=100, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), default=None,
-              help="Folder for policies and report; default: beside the current folder's runs, by name.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder for policies and report; default: beside the current folder's runs, by name.",
+)
 @_experiment_options
 def train(**options: Any) -> None:
     """Learn on your own building (.json or .graph): policy files and the verdict."""
@@ -200,10 +221,10 @@ def _print(*tables: Any) -> None:
         console.print(table)
 
 
-class _progress:  # noqa: N801 - reads as what it is: `with _progress() as progress`
-    """A bar per piece of work; called as ``progress(done, total, what)``."""
+class _progress:
+    """A bar per piece of work; called as ``progress(done, total, note)``."""
 
-    def __enter__(self) -> Callable[[int, int, str], None]:
+    def __enter__(self) -> Progress:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -218,10 +239,11 @@ class _progress:  # noqa: N801 - reads as what it is: `with _progress() as progr
         self.current: tuple[Any, int] | None = None
         return self.show
 
-    def show(self, done: int, total: int, what: str) -> None:
+    def show(self, done: int, total: int, note: str) -> None:
+        """Show ``done`` of ``total``; another total begins another bar."""
         if self.current is None or self.current[1] != total:
-            self.current = (self.bar.add_task("", total=total, what=what), total)
-        self.bar.update(self.current[0], completed=done, what=what)
+            self.current = (self.bar.add_task("", total=total, what=note), total)
+        self.bar.update(self.current[0], completed=done, what=note)
 
     def __exit__(self, *_: object) -> None:
         self.bar.stop()

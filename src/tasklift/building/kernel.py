@@ -22,11 +22,17 @@ from numba import njit
 
 from tasklift import rules as scalar
 
+# Nothing here allocates, so no array's references need counting: left on, Numba's atomic counters take half of the
+# time. The option is private to Numba but used in its own sources; without it all is the same, only slower.
+_UNCOUNTED: dict[str, Any] = {"_nrt": False}
+_inline = njit(forceinline=True, **_UNCOUNTED)
+_entry = njit(nogil=True, cache=True, **_UNCOUNTED)
+
 # --- layout -----------------------------------------------------------------------------------------------------
 
 
 def _record(**fields: str) -> np.dtype:
-    return np.dtype([(name, kind) for name, kind in fields.items()], align=True)
+    return np.dtype(list(fields.items()), align=True)
 
 
 NODE = _record(x="f8", y="f8", feature="i8", first="i8", last="i8", near_first="i8", near_last="i8")
@@ -125,16 +131,16 @@ class Lane(NamedTuple):
 
 OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW = 0, 1, 2, 3  # the purpose of a draw
 
-_draw = njit(forceinline=True, _nrt=False)(scalar.draw)
-_heaviest = njit(forceinline=True, _nrt=False)(scalar.heaviest)
-_reinforced = njit(forceinline=True, _nrt=False)(scalar.reinforce)
+_draw = _inline(scalar.draw)
+_heaviest = _inline(scalar.heaviest)
+_reinforced = _inline(scalar.reinforce)
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def mix(z):
     """Return the finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014) of a uint64."""
     z = (z ^ (z >> np.uint64(30))) * _FIRST
@@ -142,13 +148,13 @@ def mix(z):
     return z ^ (z >> np.uint64(31))
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def absorb(key, value):
     """Return the uint64 ``key`` with one more 64-bit ``value`` hashed into it."""
     return mix(key ^ mix(np.uint64(value) + _GOLDEN))
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def uniform(key, robot, purpose, number):
     """Return draw ``number`` of ``robot`` for ``purpose``: a float64 in [0, 1)."""
     address = (np.uint64(robot) << np.uint64(40)) | (np.uint64(purpose) << np.uint64(32)) | np.uint64(number)
@@ -171,7 +177,7 @@ def keys(seed, map_id, stage):
 # --- a step, phase by phase -------------------------------------------------------------------------------------
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def _goal(rules, robot):
     """Return the node that a robot heads for, -1 without a goal."""
     if robot.dl == 2 or (robot.dl == 1 and rules.suspicion_goal == 1):
@@ -179,12 +185,12 @@ def _goal(rules, robot):
     return np.int64(-1)
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def _moves(learner, robot):
     return robot.held == 0 and learner.outputs[robot.force].mv == 1
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def sense(world, rules, lane):
     """Find every robot's input (Table I) and who is due for a decision (rule 6)."""
     robots, sites, teams = lane.robots, lane.sites, lane.teams
@@ -203,7 +209,7 @@ def sense(world, rules, lane):
         robot.row = row
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def credit(learner, lane, row, out):
     """Book the use of (row, out) and apply its local signal at once (rules 17 and 19)."""
     count, used = lane.count[0], lane.used
@@ -218,7 +224,7 @@ def credit(learner, lane, row, out):
             lane.weights[row, out] = _reinforced(lane.weights[row, out], signal, learner.floor)
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def draw_output(learner, lane, r, fixed):
     """Let robot r draw an output for its input (rule 20), and book it."""
     robot, key = lane.robots[r], lane.count[0].key
@@ -240,7 +246,7 @@ def draw_output(learner, lane, r, fixed):
     credit(learner, lane, row, out)
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def decide(world, rules, learner, lane, fixed):
     """Let all who are due decide, in robot order; a whole team at once under ``by_team`` (rule 5).
 
@@ -263,14 +269,15 @@ def decide(world, rules, learner, lane, fixed):
             robot.held = 0
             if robot.half < 0:
                 robot.force = robot.out
-        if robot.half < 0 and world.nodes[robot.node].feature > 1 and sites[robot.node].resolved == 0:
-            if not _moves(learner, robot):
-                sites[robot.node].stopped = count.tick
-                someone_stops = True
+        if robot.half >= 0 or world.nodes[robot.node].feature == 1 or sites[robot.node].resolved == 1:
+            continue
+        if not _moves(learner, robot):
+            sites[robot.node].stopped = count.tick
+            someone_stops = True
     return someone_stops
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def alert(world, lane):
     """Spread the suspicion of robots that stop at an unresolved feature (rule 11)."""
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
@@ -287,12 +294,12 @@ def alert(world, lane):
                 break
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def _knows(lane, r, edge):
     return (lane.maps[r, edge >> 6] >> np.uint64(edge & 63)) & np.uint64(1) == np.uint64(1)
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def open_edges(world, rules, lane, r):
     """Mark in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
     robot, is_open = lane.robots[r], lane.open
@@ -318,7 +325,7 @@ def open_edges(world, rules, lane, r):
     return n_new
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def _nearness(world, rules, node, goal):
     dx = world.nodes[node].x - world.nodes[goal].x
     dy = world.nodes[node].y - world.nodes[goal].y
@@ -326,7 +333,7 @@ def _nearness(world, rules, node, goal):
     return 1.0 / base if rules.sharpness == 1.0 else 1.0 / base**rules.sharpness
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def draw_edge(world, rules, learner, lane, r, n_open):
     """Draw one of the open half-edges by p_j = CA · CovA_j + (1 − CA) · GolC_j (rule 9; section IV)."""
     robot, is_open, share = lane.robots[r], lane.open, lane.share
@@ -360,7 +367,7 @@ def draw_edge(world, rules, learner, lane, r, n_open):
     return node.first + _draw(share[:degree], u)
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def choose_edge(world, rules, learner, lane, r):
     """Return the half-edge by which robot r leaves, minding what others chose here in this step (rule 7)."""
     robot, picks = lane.robots[r], lane.picks
@@ -394,7 +401,7 @@ def choose_edge(world, rules, learner, lane, r):
     return half
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def leave(world, rules, learner, lane):
     """Let all who move at a node choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
 
@@ -411,18 +418,19 @@ def leave(world, rules, learner, lane):
         half = choose_edge(world, rules, learner, lane, r)
         robot.next = half
         node, site = world.nodes[robot.node], sites[robot.node]
-        if node.feature > 1 and site.resolved == 0:
-            if world.halves[half].edge != robot.came or node.last - node.first == 1:
-                robot.crossing = 1
-                crossed = True
-                if site.crossed != count.tick:
-                    site.crossed = count.tick
-                    site.armed_crossing = 0
-                site.armed_crossing += world.members[r].armed
+        if node.feature == 1 or site.resolved == 1:
+            continue
+        if world.halves[half].edge != robot.came or node.last - node.first == 1:
+            robot.crossing = 1
+            crossed = True
+            if site.crossed != count.tick:
+                site.crossed = count.tick
+                site.armed_crossing = 0
+            site.armed_crossing += world.members[r].armed
     return crossed
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def _resolve(rules, lane):
     """Decide each crossed feature; return the highest and second-highest node of a failed attack, or -1."""
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
@@ -446,7 +454,7 @@ def _resolve(rules, lane):
     return highest, second
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def encounter(rules, learner, lane):
     """Fight at the crossed features; tell everyone (rule 10). A drill repels instead of destroying (rule 21)."""
     robots, sites, count, roster = lane.robots, lane.sites, lane.count[0], lane.roster
@@ -487,7 +495,7 @@ def encounter(rules, learner, lane):
     count.alive = living
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def move(world, rules, learner, lane):
     """Advance everyone under way and take in arrivals (rules 2 and 12)."""
     robots, count = lane.robots, lane.count[0]
@@ -523,7 +531,7 @@ def move(world, rules, learner, lane):
         robot.force = robot.out
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def team_of(world, lane, robot):
     """Return the number of the team at a robot's place, ``count.teams`` if it is the first there (rule 4)."""
     slots, count = lane.slots, lane.count[0]
@@ -543,7 +551,7 @@ def team_of(world, lane, robot):
     return count.teams
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def gather(world, lane):
     """Find the teams (rule 4) and search the rooms that hold a robot, one step's worth each (rule 13).
 
@@ -586,7 +594,7 @@ def gather(world, lane):
     return differ
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def pool(rules, lane):
     """Pool maps within teams, or over all by radio; one message per pooling that taught someone (rules 11, 12)."""
     robots, teams, maps, pooled, count = lane.robots, lane.teams, lane.maps, lane.pooled, lane.count[0]
@@ -609,7 +617,7 @@ def pool(rules, lane):
                     count.messages += 1
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def _step(world, rules, learner, lane, fixed):
     """Run one step (rule 1).
 
@@ -646,7 +654,7 @@ def _step(world, rules, learner, lane, fixed):
     return 2 if count.alive == 0 or count.step >= rules.limit else 0
 
 
-@njit(nogil=True, cache=True, _nrt=False)
+@_entry
 def step(world, rules, learner, lane, fixed):
     """Run :func:`_step`; the door from Python, for traces and tests."""
     return _step(world, rules, learner, lane, fixed)
@@ -655,14 +663,14 @@ def step(world, rules, learner, lane, fixed):
 # --- a trial ----------------------------------------------------------------------------------------------------
 
 
-@njit(forceinline=True, _nrt=False)
+@_inline
 def place_hostiles(world, rules, lane, place_key):
     """Hide the hostiles: the same draw for every arm, since ``place_key`` knows only seed and map (rule 14)."""
     n_candidates = world.candidates.shape[0]
     for k in range(n_candidates):
         lane.shuffle[k] = world.candidates[k]
     for k in range(rules.hostiles):
-        chosen = k
+        chosen = np.int64(k)
         if rules.placed == 0:
             u = uniform(place_key, 0, PLACE_DRAW, k)
             chosen = k + np.int64(u * (n_candidates - k))
@@ -671,7 +679,7 @@ def place_hostiles(world, rules, lane, place_key):
         lane.sites[node].hostile = 1
 
 
-@njit(nogil=True, cache=True, _nrt=False)
+@_entry
 def begin_trial(world, rules, lane, trial_key, place_key):
     """Put everyone at the start with an empty map; hide the hostiles."""
     count = lane.count[0]
@@ -723,7 +731,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     count.rooms_left = rules.rooms
 
 
-@njit(nogil=True, cache=True, _nrt=False)
+@_entry
 def end_trial(rules, learner, lane, success, fixed, mean_steps):
     """Apply the global time signal (rules 18 and 19); return the trial's steps (a failure counts as the limit)."""
     count, weights = lane.count[0], lane.weights
@@ -733,9 +741,7 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
     inverted = learner.time_reward * (1.0 - steps / rules.limit)
     if learner.sweep_all == 1:
         for row in range(weights.shape[0]):
-            weights[row, fixed] = _reinforced(
-                weights[row, fixed], learner.signal[row, fixed] + inverted, learner.floor
-            )
+            weights[row, fixed] = _reinforced(weights[row, fixed], learner.signal[row, fixed] + inverted, learner.floor)
     elif learner.time_signal > 0:
         signal = inverted
         if learner.time_signal == 2:
@@ -747,7 +753,7 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
     return steps
 
 
-@njit(nogil=True, cache=True, _nrt=False)
+@_entry
 def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, fixed, max_losses, table, left):
     """Run trials one after the other, learning as they go; fill one row of ``table`` for each.
 

@@ -118,9 +118,7 @@ class Reading:
                 if not good or (name == "search_rate_m2" and value == 0):
                     raise TaskliftError(f"reading, {name}: expected a finite number >= 0, found {value!r}")
         if not isinstance(self.patience, int) or isinstance(self.patience, bool) or self.patience < 1:
-            raise TaskliftError(
-                f"reading, patience: expected a whole number of steps >= 1, found {self.patience!r}"
-            )
+            raise TaskliftError(f"reading, patience: expected a whole number of steps >= 1, found {self.patience!r}")
 
     @classmethod
     def from_json(cls, document: dict[str, Any], where: str = "reading") -> Reading:
@@ -158,9 +156,18 @@ def search_and_clear() -> Task:
         inputs=(
             Variable("DL", (0, 1, 2), labels=("none", "suspected", "attacked"), meaning="danger level"),
             Variable("GL", (0, 1), labels=("unknown", "known"), meaning="goal"),
-            Variable("nWPN", (0, 1, 2), labels=("none", "below m", "m or more"), meaning="weapon robots in the team"),
-            Variable("FTR", (1, 2, 3, 4, 5), labels=("none", "bend", "corner", "door", "other"),
-                     meaning="feature faced"),
+            Variable(
+                "nWPN",
+                (0, 1, 2),
+                labels=("none", "below m", "m or more"),
+                meaning="weapon robots in the team",
+            ),
+            Variable(
+                "FTR",
+                (1, 2, 3, 4, 5),
+                labels=("none", "bend", "corner", "door", "other"),
+                meaning="feature faced",
+            ),
         ),
         outputs=(
             Variable("MV", (0, 1), labels=("stop", "move"), meaning="stop or move"),
@@ -180,9 +187,7 @@ def search_and_clear() -> Task:
 
 def search_only(task: Task) -> Task:
     """Return the paper's task V (Table II, 15 × 44 weights): ``task`` with no danger and no goal."""
-    return task.simplify(
-        fix={"DL": 0, "GL": 0}, name="search", signals=SEARCH_SIGNALS, time_reward=SEARCH_TIME_REWARD
-    )
+    return task.simplify(fix={"DL": 0, "GL": 0}, name="search", signals=SEARCH_SIGNALS, time_reward=SEARCH_TIME_REWARD)
 
 
 def hostile_candidates(building: Building) -> list[int]:

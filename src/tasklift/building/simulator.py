@@ -415,9 +415,7 @@ def search_steps(
     return np.where(is_room, steps, 0)
 
 
-def _within_earshot(
-    position_m: NDArray[np.float64], is_feature: NDArray[np.bool_], range_m: float
-) -> list[list[int]]:
+def _within_earshot(position_m: NDArray[np.float64], is_feature: NDArray[np.bool_], range_m: float) -> list[list[int]]:
     """For each node, the features within ``range_m`` (straight line), by descending id."""
     from scipy.spatial import cKDTree
 
@@ -428,8 +426,6 @@ def _within_earshot(
     tree = cKDTree(position_m[features])
     near = []
     for node, found in enumerate(tree.query_ball_point(position_m, range_m * 1.001 + 0.001)):
-        within = [
-            int(features[i]) for i in found if math.dist(position_m[node], position_m[features[i]]) <= range_m
-        ]
+        within = [int(features[i]) for i in found if math.dist(position_m[node], position_m[features[i]]) <= range_m]
         near.append(sorted(within, reverse=True))
     return near

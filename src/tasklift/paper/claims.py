@@ -170,10 +170,10 @@ def evaluate(samples: Mapping[str, Sample], reading: str, *, resamples: int = 40
 
 def holm_adjusted(findings: list[Finding]) -> list[float | None]:
     """Return each finding's p-value adjusted for all of them together (Holm 1979), None where it has none."""
-    tested = [i for i, finding in enumerate(findings) if finding.p is not None]
+    tested = {i: finding.p for i, finding in enumerate(findings) if finding.p is not None}
     adjusted: list[float | None] = [None] * len(findings)
     if tested:
-        for i, p in zip(tested, stats.holm([findings[i].p for i in tested]), strict=True):  # type: ignore[list-item]
+        for i, p in zip(tested, stats.holm(list(tested.values())), strict=True):
             adjusted[i] = float(p)
     return adjusted
 
@@ -255,9 +255,7 @@ class _Judge:
         exploiting = f"{arm}, exploitation"
         if exploiting in self.samples:
             other = self.samples[exploiting]
-            found.append(
-                self._paired("C10", f"{arm} − {exploiting}", sample.greedy_steps, other.greedy_steps, "less")
-            )
+            found.append(self._paired("C10", f"{arm} − {exploiting}", sample.greedy_steps, other.greedy_steps, "less"))
         return [*found, self._optimal(arm)]
 
     def _optimal(self, arm: str) -> Finding:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,12 @@ import tasklift
 from tasklift import stats
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
-from tasklift.lab import FILE_NAME, Cell, Report, Store
+from tasklift.lab import FILE_NAME, Cell, Store
 from tasklift.lab.charts import Series
+from tasklift.lab.report import Report
 from tasklift.paper.arms import ARMS
 from tasklift.paper.claims import CLAIMS, Finding, Sample, holm_adjusted
 from tasklift.paper.study import Study
-
-Progress = Callable[[int, int, str], None]
 
 #: Arms in the curves, in the order of their colours.
 DRAWN = ("direct", "copy", "copy+prior", "prior", "expert")

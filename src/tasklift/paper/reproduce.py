@@ -10,12 +10,12 @@ import numpy as np
 from tasklift.building.generate import generate
 from tasklift.building.graph import INTERSECTION, Building
 from tasklift.building.mission import PRESETS, hostile_candidates
-from tasklift.lab import FILE_NAME, Report, Store, run
+from tasklift.lab import FILE_NAME, Progress, Store, run
+from tasklift.lab.report import Report
 from tasklift.lab.runs import export
 from tasklift.paper import figures, report
 from tasklift.paper.arms import ARMS
 from tasklift.paper.claims import Finding, Sample, all_samples, evaluate
-from tasklift.paper.report import Progress
 from tasklift.paper.study import Study
 from tasklift.paper.survey import Survey, survey
 
@@ -45,7 +45,7 @@ def reproduce(
     engine, workers, address
         As in :func:`tasklift.lab.run`.
     progress
-        ``progress(done, total, what)``.
+        ``progress(done, total, note)``.
 
     Raises
     ------
@@ -55,8 +55,16 @@ def reproduce(
     study = Study({f"map {i}": generate(seed=i) for i in range(maps)}, PRESETS, tuple(ARMS), seeds=seeds, trials=trials)
     folder = report.prepare_folder(out)
     with Store.open(folder / FILE_NAME, study.spec("the paper's experiment")) as store:
-        run(store, study.cells(), study.work, engine=engine, workers=workers, address=address, progress=progress)
-        say = progress or (lambda done, total, what: None)
+        run(
+            store,
+            study.cells(),
+            study.work,
+            engine=engine,
+            workers=workers,
+            address=address,
+            progress=progress,
+        )
+        say = progress or (lambda done, total, note: None)
         surveys = {name: _survey(survey, name, study, workers, progress) for name in PRESETS}
         say(0, 4, "judging the claims")
         samples = {name: all_samples(store, name) for name in PRESETS}
@@ -205,7 +213,9 @@ def _report(
     page.section("The ledger: what was spent and lost, by stage")
     for reading in samples:
         page.table(
-            report.LEDGER_HEADERS, report.ledger_rows(store, reading), caption=f"Preset **{reading}**, per map and seed"
+            report.LEDGER_HEADERS,
+            report.ledger_rows(store, reading),
+            caption=f"Preset **{reading}**, per map and seed",
         )
     report.add_settings(page, store, command)
     return page

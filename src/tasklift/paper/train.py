@@ -10,12 +10,12 @@ from tasklift import stats
 from tasklift.building.graph import Building
 from tasklift.building.mission import PRESETS, SCOUT, WEAPON
 from tasklift.errors import TaskliftError
-from tasklift.lab import FILE_NAME, Cell, Report, Store, run
+from tasklift.lab import FILE_NAME, Cell, Progress, Store, run
+from tasklift.lab.report import Report
 from tasklift.lab.runs import export
 from tasklift.paper import figures, report
 from tasklift.paper.arms import ARMS
 from tasklift.paper.claims import Sample, all_samples
-from tasklift.paper.report import Progress
 from tasklift.paper.study import Study
 
 TRAINED = ("random", "expert", "direct", "copy", "prior", "copy+prior")
@@ -88,7 +88,15 @@ def train(
     )
     folder = report.prepare_folder(out if out is not None else Path("runs") / building.stem)
     with Store.open(folder / FILE_NAME, study.spec(f"training on {building.name}")) as store:
-        run(store, study.cells(), study.work, engine=engine, workers=workers, address=address, progress=progress)
+        run(
+            store,
+            study.cells(),
+            study.work,
+            engine=engine,
+            workers=workers,
+            address=address,
+            progress=progress,
+        )
         samples = all_samples(store, preset)
         export(folder, folder / "rows.csv")
         report.save_policies(study, folder / "policies", preset, building.stem)
@@ -111,7 +119,10 @@ def recommended(samples: dict[str, Sample]) -> str:
     learning = [name for name in samples if ARMS[name].learns]
     return min(
         learning,
-        key=lambda name: (round(float(samples[name].greedy_losses.mean()), 1), samples[name].greedy_steps.mean()),
+        key=lambda name: (
+            round(float(samples[name].greedy_losses.mean()), 1),
+            samples[name].greedy_steps.mean(),
+        ),
     )
 
 

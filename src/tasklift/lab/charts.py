@@ -56,10 +56,8 @@ def number(value: float) -> str:
     """A number as people write it: 4 significant digits, thousands separated by thin spaces."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else ("∞" if value > 0 else "−∞")
-    if abs(value) >= 1e4 or value == round(value):
-        text = f"{value:,.0f}".replace(",", "\u2009")
-    else:
-        text = f"{value:.4g}"
+    whole = abs(value) >= 1e4 or value == round(value)
+    text = f"{value:,.0f}".replace(",", "\u2009") if whole else f"{value:.4g}"
     return text.replace("-", "−")
 
 

@@ -13,13 +13,12 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import os
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,8 +27,11 @@ import tasklift
 from tasklift import rules
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, check_fields, read_document, write_atomically
-from tasklift.task import Condition, Task
-from tasklift.variable import plain_number
+from tasklift.prior import Prior, invert, scale, set_weight, swap
+from tasklift.task import Task
+from tasklift.variable import Variable, plain_number
+
+__all__ = ["Policy", "Prior", "Rule", "Weights", "invert", "scale", "set_weight", "swap"]
 
 Weights = NDArray[np.float64]
 Rule = Literal["exploration", "pseudo-random", "exploitation"]
@@ -38,18 +40,6 @@ RULES: tuple[Rule, ...] = ("exploration", "pseudo-random", "exploitation")
 
 LARGEST_JSON = 100_000
 """Policies with more weights than this keep them in an NPZ file beside the JSON file."""
-
-
-class Prior(Protocol):
-    """Prior knowledge: an operation on chosen weights, told in words."""
-
-    def apply(self, task: Task, weights: Weights) -> Weights:
-        """Return changed weights (S, A) of ``task``; the given ones stay as they are."""
-        ...
-
-    def to_json(self) -> dict[str, Any]:
-        """Return what was done, for the provenance of a policy."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +86,7 @@ class Policy:
             with np.errstate(over="ignore"):
                 heavy = ~np.isfinite(weights.sum(axis=1))
             if heavy.any():
-                raise TaskliftError(
-                    f"policy: the weights of row {int(np.argmax(heavy))} are too large to be added up"
-                )
+                raise TaskliftError(f"policy: the weights of row {int(np.argmax(heavy))} are too large to be added up")
         object.__setattr__(self, "weights", weights)
         carried: dict[str, Weights | float] = {}
         for name, value in self.carried.items():
@@ -127,14 +115,10 @@ class Policy:
         if isinstance(input, Mapping):
             return self.weights[self.task.input_index(input)]
         if not 0 <= int(input) < self.task.shape[0]:
-            raise TaskliftError(
-                f"policy: expected an input from 0 to {self.task.shape[0] - 1}, found {input}"
-            )
+            raise TaskliftError(f"policy: expected an input from 0 to {self.task.shape[0] - 1}, found {input}")
         return self.weights[int(input)]
 
-    def probabilities(
-        self, input: int | Mapping[str, Any], rule: Rule = "exploration", q: float = 0.9
-    ) -> Weights:
+    def probabilities(self, input: int | Mapping[str, Any], rule: Rule = "exploration", q: float = 0.9) -> Weights:
         """Return how probable each output (A,) is at an input, under a selection rule; ties share evenly."""
         greedy = _greedy(rule, q)
         row = self.row(input)
@@ -143,9 +127,7 @@ class Policy:
         if greedy < 1.0:
             self._need_weights(rule)
             whole = rules.total(row, len(row))
-            chances = chances + (1.0 - greedy) * (
-                row / whole if whole > 0 else np.full(len(row), 1 / len(row))
-            )
+            chances = chances + (1.0 - greedy) * (row / whole if whole > 0 else np.full(len(row), 1 / len(row)))
         return chances
 
     def best(self) -> NDArray[np.int64]:
@@ -254,9 +236,7 @@ class Policy:
         if self.weights.size > LARGEST_JSON:
             beside = target.with_suffix(".npz")
             if beside == target:
-                raise TaskliftError(
-                    f"{target}: the suffix .npz is taken by the weights; save to a .json file"
-                )
+                raise TaskliftError(f"{target}: the suffix .npz is taken by the weights; save to a .json file")
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **arrays)
             write_atomically(beside, buffer.getvalue())
@@ -267,8 +247,7 @@ class Policy:
         else:
             document["outputs"] = [self.task.output_values(a) for a in range(self.task.shape[1])]
             document["rows"] = [
-                {"input": self.task.input_values(s)}
-                | {name: array[s].tolist() for name, array in arrays.items()}
+                {"input": self.task.input_values(s)} | {name: array[s].tolist() for name, array in arrays.items()}
                 for s in range(self.task.shape[0])
             ]
         document["checksum"] = _checksum(document)
@@ -324,8 +303,7 @@ def _checked(task: Task, given: ArrayLike, what: str) -> Weights:
         raise TaskliftError(f"policy: the {what} are not a table of numbers ({error})") from error
     if array.shape != task.shape:
         raise TaskliftError(
-            f"policy: expected {what} of shape {task.shape} (inputs × outputs of {task.name!r}), "
-            f"found {array.shape}"
+            f"policy: expected {what} of shape {task.shape} (inputs × outputs of {task.name!r}), found {array.shape}"
         )
     if not np.isfinite(array).all():
         row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -339,145 +317,30 @@ def _checked(task: Task, given: ArrayLike, what: str) -> Weights:
 
 def _put_back(table: Weights, task: Task, ancestor: Task) -> Weights:
     """Extend a table of ``task`` to an ancestor: copies, or means over the values that a restriction kept."""
-    fates = task.fates(ancestor)
-    ours = {v.name for v in task.variables}
-    cube = table.reshape([len(v) for v in task.variables])
-    for axis, variable in enumerate(ancestor.variables):
+    whole = spread(table, task.inputs, ancestor.inputs, task.fates(ancestor), axis=0)
+    return spread(whole, task.outputs, ancestor.outputs, task.fates(ancestor), axis=1)
+
+
+def spread(
+    table: Weights,
+    ours: Sequence[Variable],
+    theirs: Sequence[Variable],
+    fates: Mapping[str, tuple[int, ...] | None],
+    axis: int,
+) -> Weights:
+    """Extend one axis of a table (n, A) or (S, n) from the variables it has to those of an ancestor."""
+    before, after = table.shape[:axis], table.shape[axis + 1 :]
+    cube = table.reshape([*before, *(len(v) for v in ours), *after])
+    names = {v.name for v in ours}
+    for k, variable in enumerate(theirs, start=axis):
         inside = fates[variable.name]
-        if variable.name not in ours:
-            cube = np.repeat(np.expand_dims(cube, axis), len(variable), axis=axis)
+        if variable.name not in names:
+            cube = np.repeat(np.expand_dims(cube, k), len(variable), axis=k)
         elif inside is not None and len(inside) < len(variable):
-            mean = cube.mean(axis=axis, keepdims=True)
-            wider = np.repeat(mean, len(variable), axis=axis)
-            wider[(slice(None),) * axis + (list(inside),)] = cube
+            wider = np.repeat(cube.mean(axis=k, keepdims=True), len(variable), axis=k)
+            wider[(slice(None),) * k + (list(inside),)] = cube
             cube = wider
-    return np.ascontiguousarray(cube.reshape(ancestor.shape))
-
-
-# -- prior knowledge ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Swap:
-    output: str
-    values: tuple[Any, Any] | None
-    when: Condition
-
-    def apply(self, task: Task, weights: Weights) -> Weights:
-        where = "prior swap"
-        variable = task.variable(self.output, where)
-        if variable not in task.outputs:
-            raise TaskliftError(f"{where}: expected an output, found the input {self.output!r}")
-        if self.output in self.when:
-            raise TaskliftError(
-                f"{where}: {self.output!r} is what is swapped, it cannot be a condition as well"
-            )
-        if self.values is None and len(variable) != 2:
-            raise TaskliftError(
-                f"{where}: {self.output!r} has {len(variable)} values; say which with values=(a, b)"
-            )
-        pair = variable.values if self.values is None else self.values
-        if len(pair) != 2:
-            raise TaskliftError(f"{where}: expected two values to swap, found {pair!r}")
-        one, other = (task.where({**self.when, self.output: value}) for value in pair)
-        changed = weights.copy()
-        # the masks list the same rows, and the other outputs in the same order, so their entries match one
-        # to one
-        changed[one], changed[other] = weights[other], weights[one]
-        return changed
-
-    def to_json(self) -> dict[str, Any]:
-        return _told("swap", self.when, output=self.output, values=self.values)
-
-
-@dataclass(frozen=True)
-class _Invert:
-    when: Condition
-
-    def apply(self, task: Task, weights: Weights) -> Weights:
-        chosen = task.where(self.when)
-        rows = chosen.any(axis=1)
-        low = weights.min(axis=1, where=chosen, initial=np.inf)[rows, None]
-        high = weights.max(axis=1, where=chosen, initial=-np.inf)[rows, None]
-        changed = weights.copy()
-        reflected = np.clip(low + high - weights[rows], low, high)
-        changed[rows] = np.where(chosen[rows], reflected, weights[rows])
-        return changed
-
-    def to_json(self) -> dict[str, Any]:
-        return _told("invert", self.when)
-
-
-@dataclass(frozen=True)
-class _Scale:
-    factor: float
-    when: Condition
-
-    def apply(self, task: Task, weights: Weights) -> Weights:
-        return np.where(task.where(self.when), weights * self.factor, weights)
-
-    def to_json(self) -> dict[str, Any]:
-        return _told("scale", self.when, factor=self.factor)
-
-
-@dataclass(frozen=True)
-class _SetWeight:
-    value: float
-    when: Condition
-
-    def apply(self, task: Task, weights: Weights) -> Weights:
-        return np.where(task.where(self.when), self.value, weights)
-
-    def to_json(self) -> dict[str, Any]:
-        return _told("set_weight", self.when, value=self.value)
-
-
-def _told(operation: str, when: Condition, **rest: Any) -> dict[str, Any]:
-    conditions = {n: v if isinstance(v, str) else np.asarray(v).tolist() for n, v in when.items()}
-    return {"operation": operation, "when": conditions} | {
-        name: list(v) if isinstance(v, tuple) else v for name, v in rest.items() if v is not None
-    }
-
-
-def swap(output: str, values: tuple[Any, Any] | None = None, when: Condition | None = None) -> Prior:
-    """Prior: exchange the weights of two values of an output; the unsafe value asks for the opposite.
-
-    Parameters
-    ----------
-    output
-        An output variable; one of two values needs no ``values``.
-    values
-        The two values to exchange; all other outputs keep their combination.
-    when
-        ``{variable: value or values}``: only there. Conditions on inputs choose rows, on outputs columns.
-    """
-    return _Swap(output, None if values is None else tuple(values), dict(when or {}))
-
-
-def invert(when: Condition | None = None) -> Prior:
-    """Prior: turn the order of the chosen weights of each row around.
-
-    The paper inverts signs. Weights here are not negative, so each chosen weight is reflected between the
-    smallest and the largest chosen weight of its row: the heaviest becomes the lightest, and the range stays.
-    """
-    return _Invert(dict(when or {}))
-
-
-def scale(factor: float, when: Condition | None = None) -> Prior:
-    """Prior: multiply the chosen weights by a factor, finite and not negative."""
-    return _Scale(_finite(factor, "scale", at_least=0.0), dict(when or {}))
-
-
-def set_weight(value: float, when: Condition | None = None) -> Prior:
-    """Prior: give the chosen weights this value."""
-    return _SetWeight(_finite(value, "set_weight"), dict(when or {}))
-
-
-def _finite(value: float, what: str, at_least: float = -math.inf) -> float:
-    number = plain_number(value, f"prior {what}")
-    if number < at_least:
-        raise TaskliftError(f"prior {what}: expected a number of {at_least} or more, found {value!r}")
-    return number
+    return np.ascontiguousarray(cube.reshape(*before, -1, *after))
 
 
 # -- files -------------------------------------------------------------------------------------------------
@@ -540,9 +403,7 @@ def _read_arrays(path: Path, beside: Mapping[str, Any]) -> dict[str, Weights]:
     except OSError as error:
         raise TaskliftError(f"its weights are in {file}, which cannot be read ({error.strerror})") from error
     if hashlib.sha256(raw).hexdigest() != beside["sha256"]:
-        raise TaskliftError(
-            f"its weights in {file} are not the ones saved with it: damaged, or of another policy"
-        )
+        raise TaskliftError(f"its weights in {file} are not the ones saved with it: damaged, or of another policy")
     try:
         with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
             found = {key: arrays[key] for key in arrays.files}

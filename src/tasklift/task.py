@@ -11,7 +11,7 @@ Shapes: ``S`` inputs, ``A`` outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -86,8 +86,7 @@ class Task:
             double = next(n for n in names if names.count(n) > 1)
             raise TaskliftError(f"{where}: two variables are called {double!r}; names must differ")
         signals = tuple(
-            replace(s, when=self._tidy(s.when, f"{where}, signal {s.name or i}"))
-            for i, s in enumerate(self.signals)
+            replace(s, when=self._tidy(s.when, f"{where}, signal {s.name or i}")) for i, s in enumerate(self.signals)
         )
         impossible = tuple(self._tidy(c, f"{where}, impossible {i}") for i, c in enumerate(self.impossible))
         object.__setattr__(self, "signals", signals)
@@ -114,23 +113,17 @@ class Task:
             if variable.name in ours:
                 kept = variable.positions(ours[variable.name].values, where)
                 if tuple(variable.values[i] for i in kept) != ours[variable.name].values:
-                    raise TaskliftError(
-                        f"{where}: variable {variable.name!r} must keep the order of its values"
-                    )
+                    raise TaskliftError(f"{where}: variable {variable.name!r} must keep the order of its values")
             elif variable.name in self.fixed:
                 variable.position(self.fixed[variable.name], where)
         known = {v.name for v in self.parent.variables}
         strange = [n for n in (*ours, *self.fixed, *self.removed) if n not in known]
         if strange or any(v.name in self.removed for v in self.parent.outputs):
-            raise TaskliftError(
-                f"{where}: {strange or self.removed!r} cannot be taken from {self.parent.name!r}"
-            )
+            raise TaskliftError(f"{where}: {strange or self.removed!r} cannot be taken from {self.parent.name!r}")
         for side in ("inputs", "outputs"):
             order = [v.name for v in getattr(self.parent, side) if v.name in ours]
             if order != [v.name for v in getattr(self, side)]:
-                raise TaskliftError(
-                    f"{where}: the {side} must keep the order they have in {self.parent.name!r}"
-                )
+                raise TaskliftError(f"{where}: the {side} must keep the order they have in {self.parent.name!r}")
 
     # -- the table -----------------------------------------------------------------------------------------
 
@@ -182,9 +175,7 @@ class Task:
     def _values(self, index: int, variables: tuple[Variable, ...], n: int, what: str) -> dict[str, Value]:
         rest = int(index)
         if not 0 <= rest < n:
-            raise TaskliftError(
-                f"task {self.name!r}: expected an {what} index from 0 to {n - 1}, found {index}"
-            )
+            raise TaskliftError(f"task {self.name!r}: expected an {what} index from 0 to {n - 1}, found {index}")
         found: dict[str, Value] = {}
         for variable in reversed(variables):
             rest, position = divmod(rest, len(variable))
@@ -212,42 +203,47 @@ class Task:
                 f"{LARGEST_TABLE:,} that are built in memory; simplify it, or learn it with tasklift.approx"
             )
 
-    def where(self, when: Condition) -> NDArray[np.bool_]:
-        """Return the mask, bool (S, A), of the inputs and outputs at which a condition holds."""
-        rows, columns = self._sides(when, "where")
-        self.need_room(self.shape[0] * self.shape[1], "the table")
-        return np.outer(rows, columns)
+    def input_positions(self, indices: Iterable[int]) -> NDArray[np.int64]:
+        """Return the positions of the values of some inputs, int64 (n, variables)."""
+        found = []
+        for index in indices:
+            values = self.input_values(index)
+            found.append([variable.position(values[variable.name]) for variable in self.inputs])
+        return np.array(found, dtype=np.int64).reshape(-1, len(self.inputs))
+
+    def where(self, when: Condition, inputs: NDArray[np.int64] | None = None) -> NDArray[np.bool_]:
+        """Return the mask, bool (S, A), of the inputs and outputs at which a condition holds.
+
+        With ``inputs``, int64 (n, variables), the positions of some inputs' values: for those only, bool (n, A).
+        """
+        if inputs is None:
+            self.need_room(self.shape[0] * self.shape[1], "the table")
+            return np.outer(*self._sides(when))
+        tidy = self._tidy(when, f"task {self.name!r}, where")
+        rows = np.ones(len(inputs), dtype=np.bool_)
+        for k, variable in enumerate(self.inputs):
+            rows &= _allowed(variable, tidy)[inputs[:, k]]
+        return np.outer(rows, _mask(self.outputs, tidy))
 
     def input_mask(self, when: Condition) -> NDArray[np.bool_]:
         """Return the mask, bool (S,), of the inputs at which a condition over inputs holds."""
         outputs = [v.name for v in self.outputs if v.name in when]
         if outputs:
-            raise TaskliftError(
-                f"task {self.name!r}: expected a condition over inputs, found output {outputs[0]!r}"
-            )
-        return self._sides(when, "input_mask")[0]
+            raise TaskliftError(f"task {self.name!r}: expected a condition over inputs, found output {outputs[0]!r}")
+        return self._sides(when)[0]
 
-    def _sides(self, when: Condition, where: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        tidy = self._tidy(when, f"task {self.name!r}, {where}")
+    def _sides(self, when: Condition) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where a condition holds among the inputs, bool (S,), and among the outputs, bool (A,)."""
+        tidy = self._tidy(when, f"task {self.name!r}, where")
         self.need_room(max(self.shape), "the mask")
-        sides = []
-        for variables in (self.inputs, self.outputs):
-            mask = np.ones(1, dtype=np.bool_)
-            for variable in variables:
-                allowed = np.ones(len(variable), dtype=np.bool_)
-                if variable.name in tidy:
-                    allowed[:] = False
-                    allowed[list(variable.positions(tidy[variable.name], where))] = True
-                mask = np.logical_and.outer(mask, allowed).ravel()
-            sides.append(mask)
-        return sides[0], sides[1]
+        return _mask(self.inputs, tidy), _mask(self.outputs, tidy)
 
     def rule_table(self) -> NDArray[np.float64]:
         """Return the summed local signals, float64 (S, A), without those for what is not possible."""
         self.need_room(self.shape[0] * self.shape[1], "the table of signals")
         table = np.zeros(self.shape)
         for signal in self.signals:
-            rows, columns = self._sides(signal.when, "signals")
+            rows, columns = self._sides(signal.when)
             table[np.ix_(rows, columns)] += signal.value
         return table
 
@@ -256,7 +252,7 @@ class Task:
         self.need_room(self.shape[0] * self.shape[1], "the table")
         table = np.zeros(self.shape, dtype=np.bool_)
         for condition in self.impossible:
-            rows, columns = self._sides(condition, "impossible")
+            rows, columns = self._sides(condition)
             table[np.ix_(rows, columns)] = True
         return table
 
@@ -322,11 +318,7 @@ class Task:
             outputs=tuple(_fewer(v, kept.get(v.name)) for v in self.outputs if v.name not in gone),
             signals=self._simpler_signals(kept, gone) if signals is None else tuple(signals),
             impossible=(
-                tuple(
-                    c
-                    for c in (self._simpler(i, kept, gone, "impossible") for i in self.impossible)
-                    if c is not None
-                )
+                tuple(c for c in (self._simpler(i, kept, gone, "impossible") for i in self.impossible) if c is not None)
                 if impossible is None
                 else tuple(impossible)
             ),
@@ -387,9 +379,7 @@ class Task:
             if candidate.difference(task) is None:
                 return candidate
         reason = self.root.difference(task)
-        raise TaskliftError(
-            f"task {self.name!r} is neither equal to nor a simplification of {task.name!r}: {reason}"
-        )
+        raise TaskliftError(f"task {self.name!r} is neither equal to nor a simplification of {task.name!r}: {reason}")
 
     def difference(self, task: Task) -> str | None:
         """Say in which variable the tables of two tasks differ; None if they are the same."""
@@ -515,8 +505,7 @@ class Task:
             },
         )
         rules = [
-            check_fields(s, f"{where}, signal", {"value": number, "when": dict, "name": str})
-            for s in data["signals"]
+            check_fields(s, f"{where}, signal", {"value": number, "when": dict, "name": str}) for s in data["signals"]
         ]
         if not all(isinstance(n, str) for n in data["removed"]):
             raise TaskliftError(f"{where}: expected names in 'removed', found {data['removed']!r}")
@@ -549,6 +538,23 @@ def _fewer(variable: Variable, kept: tuple[int, ...] | None) -> Variable:
         return variable
     labels = None if variable.labels is None else tuple(variable.labels[i] for i in kept)
     return replace(variable, values=tuple(variable.values[i] for i in kept), labels=labels)
+
+
+def _allowed(variable: Variable, tidy: Condition) -> NDArray[np.bool_]:
+    """Return which values of a variable meet a condition, bool (values,)."""
+    allowed = np.ones(len(variable), dtype=np.bool_)
+    if variable.name in tidy:
+        allowed[:] = False
+        allowed[list(variable.positions(tidy[variable.name], variable.name))] = True
+    return allowed
+
+
+def _mask(variables: tuple[Variable, ...], tidy: Condition) -> NDArray[np.bool_]:
+    """Return where a condition holds among all combinations of variables, in C order."""
+    mask = np.ones(1, dtype=np.bool_)
+    for variable in variables:
+        mask = np.logical_and.outer(mask, _allowed(variable, tidy)).ravel()
+    return mask
 
 
 def _shown(values: tuple[Value, ...]) -> str:

@@ -235,18 +235,20 @@ class _progress:
             TimeElapsedColumn(),
             console=Console(stderr=True),
         )
-        self.bar.start()
         self.current: tuple[Any, int] | None = None
         return self.show
 
     def show(self, done: int, total: int, note: str) -> None:
         """Show ``done`` of ``total``; another total begins another bar."""
+        if self.current is None:
+            self.bar.start()  # not before there is something to show: a refusal is one line
         if self.current is None or self.current[1] != total:
             self.current = (self.bar.add_task("", total=total, what=note), total)
         self.bar.update(self.current[0], completed=done, what=note)
 
     def __exit__(self, *_: object) -> None:
-        self.bar.stop()
+        if self.current is not None:
+            self.bar.stop()
 
 
 def main() -> None:
@@ -260,5 +262,7 @@ def main() -> None:
         error.show()
         sys.exit(2)
     except (KeyboardInterrupt, click.Abort) as stop:
-        click.echo(f"tasklift: {stop or 'stopped'}", err=True)
+        # click turns the interrupt into Abort; its cause may say how to resume
+        reason = str(stop.__cause__ or stop) or "stopped"
+        click.echo(f"tasklift: {reason}", err=True)
         sys.exit(130)

@@ -121,9 +121,7 @@ def _draw(
         drawn[f"figure4-{reading}"] = figures.figure4(store, reading, report.DRAWN)
         for arm in ("copy", "copy+prior"):
             drawn[f"figure5-{reading}-{arm}"] = figures.figure5(arms[arm].move_weights.mean(axis=0))
-    for name, figure in drawn.items():
-        figures.save(figure, folder, name)
-    return {name: folder / f"{name}.png" for name in drawn}
+    return {name: figures.save(figure, folder, name)[0] for name, figure in drawn.items()}
 
 
 def crossing(building: Building) -> tuple[int, int]:

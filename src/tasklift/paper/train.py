@@ -163,8 +163,9 @@ def _report(
 ) -> Report:
     page = Report(f"Training on {place.name}")
     page.verdict(*lines)
-    figures.save(figures.figure1(place), folder / "figures", "building")
-    page.figure(folder / "figures" / "building.png", "The building as a plan and as its graph.")
+    (folder / "figures").mkdir(exist_ok=True)
+    picture, _ = figures.save(figures.figure1(place), folder / "figures", "building")
+    page.figure(picture, "The building as a plan and as its graph.")
     page.section("The arms")
     page.table(["arm", "what it is"], [[name, ARMS[name].meaning] for name in samples])
     page.table(report.ARM_HEADERS, report.arm_rows(samples), caption=f"Preset **{preset}**")

@@ -147,9 +147,7 @@ def _variable(variable: Variable) -> dict[str, Any]:
 def _trace(label: str, trace: Trace, task: int) -> dict[str, Any]:
     mission, learner = trace.mission, trace.learner
     if trace.weights.size > _LARGEST_TABLE:
-        raise TaskliftError(
-            f"replay: {label!r} has {trace.weights.size} weights; expected at most {_LARGEST_TABLE}"
-        )
+        raise TaskliftError(f"replay: {label!r} has {trace.weights.size} weights; expected at most {_LARGEST_TABLE}")
     robots = trace.robots
     before = robots["alive"][:-1] == 1
     decided = before & (robots["since"][1:] == robots["alive"][1:])  # the dead count no further step

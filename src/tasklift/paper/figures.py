@@ -118,17 +118,32 @@ def figure1(building: Building) -> Figure:
     left, right = figure.subplots(1, 2)
     draw.draw_plan(building, left)
     draw.draw_graph(building, right)
+    _shrink_signs(right)
     for ax, title in ((left, "(a) the plan"), (right, "(b) its graph")):
-        handles, labels = _to_scale(ax)
-        ax.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, handletextpad=0.4)
+        handles, labels = _taken_legend(ax)
+        ax.legend(
+            handles,
+            labels,
+            loc="upper center",
+            bbox_to_anchor=(0.5, 0.0),
+            ncols=3,
+            handletextpad=0.4,
+        )
         ax.set_title(title)
+    # as high as the building asks for at this width, with the title and the legend
+    (x0, x1), (y0, y1) = left.get_xlim(), left.get_ylim()
+    figure.set_size_inches(PAGE, float(np.clip(PAGE / 2 * (y1 - y0) / (x1 - x0), 1.6, 7.5)) + 0.8)
     return figure
 
 
-def _to_scale(ax: Axes) -> tuple[list[Any], list[str]]:
-    """Shrink the signs of a drawn building to a panel of half a page; take its legend off and return that."""
+def _shrink_signs(ax: Axes) -> None:
+    """Fit the signs of a graph, drawn for a panel of 5.5 inches, to one of half a page."""
     for line in ax.lines:
         line.set_markersize(0.58 * line.get_markersize())
+
+
+def _taken_legend(ax: Axes) -> tuple[list[Any], list[str]]:
+    """Take the legend off a drawn building, which is wider than our panels; return what it says."""
     legend = ax.get_legend()
     assert legend is not None
     legend.remove()
@@ -167,7 +182,7 @@ def figure2(building: Building, node: int, goal: int, sharpness: float = 1.0) ->
     right.plot(*building.position_m[goal], marker="*", color=_GOAL, markersize=15, markeredgecolor="white", zorder=6)
     right.annotate("goal", building.position_m[goal], (9, 6), textcoords="offset points", color=_GOAL, zorder=6)
     left.set_title("(a) CovA: shares of the area, divided by the bisectors")
-    right.set_title("(b) GolC: the nearer a way leads to the goal, the more")
+    right.set_title("(b) GolC: the nearer a way ends to the goal, the more")
     return figure
 
 
@@ -238,7 +253,8 @@ def figure3(survey: Survey, a: int, b: int) -> Figure:
     for place, letters, (above, below) in ((a, "ac", axes[:, 0]), (b, "bd", axes[:, 1])):
         of = survey.maps[place]
         draw.draw_graph(of.building, above)
-        handles, labels = _to_scale(above)
+        _shrink_signs(above)
+        handles, labels = _taken_legend(above)
         above.set_title(f"({letters[0]}) {of.building.name}")
         rows = of.rows("odd")
         band = mean_band(of.weights[rows])
@@ -247,7 +263,8 @@ def figure3(survey: Survey, a: int, b: int) -> Figure:
         slope = survey.slope_interval(place)
         line = band.estimate.mean() + slope.estimate * (CA - CA.mean())
         below.plot(CA, line, color=_INK, linewidth=0.9, linestyle="--")
-        below.set_title(f"({letters[1]}) slope {slope.estimate:+.3f} [{slope.low:+.3f}, {slope.high:+.3f}]")
+        title = f"({letters[1]}) slope {slope.estimate:+.3f} [{slope.low:+.3f}, {slope.high:+.3f}]"
+        below.set_title(title.replace("-", "−"))
         below.text(
             0.03,
             0.05,
@@ -350,15 +367,15 @@ def figure5(move_weights: ArrayLike) -> Figure:
             heights = values[n, :, move]
             ax.bar3d(ticks - 0.32, move - 0.22, 0, 0.64, 0.44, heights, color=colour, edgecolor="white", linewidth=0.3)
         ax.view_init(elev=32, azim=-64)
-        ax.set_box_aspect((1.6, 1.0, 1.0), zoom=1.2)
+        ax.set_box_aspect((1.6, 1.0, 1.0), zoom=1.12)
         ax.set_xticks(ticks)
         ax.set_yticks([0, 1], ["stop", "move"])
         ax.set_zlim(0, max(values.max() * 1.05, 1e-9))
-        ax.set_xlabel("feature", labelpad=-6)
         ax.tick_params(pad=-2, labelsize=7)
         ax.set_title(WEAPONS[n], loc="center")
-    axes[0].set_zlabel("weight", labelpad=-6)
-    figure.supxlabel("feature: 1 none, 2 bend, 3 corner, 4 door (the enemy feature), 5 other", fontsize=7.5)
+    figure.supxlabel(
+        "height: mean weight; feature: 1 none, 2 bend, 3 corner, 4 door (the enemy feature), 5 other", fontsize=7.5
+    )
     return figure
 
 

@@ -73,7 +73,7 @@ def run(
     Raises
     ------
     Interrupted
-        At Ctrl-C. A second Ctrl-C does not wait for what is in flight.
+        At Ctrl-C. A second Ctrl-C drops what is in flight; threads still end the cell they are in.
     TaskliftError
         From the work (the message then names the cell) or from the store. What was committed stays.
     """
@@ -110,7 +110,7 @@ def _engine(name: str, workers: int | None, address: str | None) -> Engine:
     if name == "threads":
         if address is not None:
             raise TaskliftError(f"address {address!r} is for the engine 'ray'; add --engine ray")
-        count = workers or len(os.sched_getaffinity(0))
+        count = workers or cores()
         return lambda groups, work, detail, stopped: threads(groups, work, detail, stopped, workers=count)
     if name == "ray":
         from tasklift.lab import ray
@@ -119,6 +119,11 @@ def _engine(name: str, workers: int | None, address: str | None) -> Engine:
             groups, work, detail, stopped, workers=workers, address=address
         )
     raise TaskliftError(f"engine {name!r}: expected 'threads' or 'ray'")
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _groups_to_do(store: Store, missing: list[Cell]) -> Iterator[Group]:

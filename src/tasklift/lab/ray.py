@@ -10,7 +10,7 @@ from collections.abc import Generator, Iterator
 from typing import Any
 
 from tasklift.errors import TaskliftError
-from tasklift.lab.engine import Group, Stopped, Work, compute
+from tasklift.lab.engine import Group, Stopped, Work, compute, cores
 from tasklift.lab.packing import Detail, Packed
 
 _RETRIES = 5  # of a group whose worker or node died; tasks keep no state, so repeating one is safe
@@ -66,7 +66,7 @@ def _connect(ray: Any, workers: int | None, address: str | None) -> None:
     if address is None:
         # statistics about usage would go over the network from a machine that asked for nothing of the kind
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        options |= {"num_cpus": workers or len(os.sched_getaffinity(0)), "include_dashboard": False}
+        options |= {"num_cpus": workers or cores(), "include_dashboard": False}
         # what this process can import, its workers can
         options["runtime_env"] = {"env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}}
     elif workers is not None:

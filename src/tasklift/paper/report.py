@@ -78,10 +78,16 @@ def arm_rows(samples: Mapping[str, Sample]) -> list[list[Any]]:
     rows: list[list[Any]] = []
     for name, sample in samples.items():
         kept = 100 * (sample.robots_left == sample.n_robots).mean()
-        rows.append(
-            [name, sample.steps[:, :10].mean(), sample.steps[:, -20:].mean(), sample.losses.mean(), kept,
-             100 * (1 - sample.success.mean()), sample.greedy_steps.mean(), sample.greedy_losses.mean()]
-        )  # fmt: skip
+        values = (
+            sample.steps[:, :10].mean(),
+            sample.steps[:, -20:].mean(),
+            sample.losses.mean(),
+            kept,
+            100 * (1 - sample.success.mean()),
+            sample.greedy_steps.mean(),
+            sample.greedy_losses.mean(),
+        )
+        rows.append([name, *(round(float(value), 1) for value in values)])
     return rows
 
 
@@ -108,32 +114,53 @@ def ledger_rows(store: Store, reading: str) -> list[list[Any]]:
         for stage in ("source", "budget", "target"):
             if stage in total:
                 trials, steps, losses = (value / cells for value in total[stage])
-                rows.append([arm, stage, trials, steps, losses, 1000 * losses / steps])
+                rows.append([arm, stage, trials, round(steps), round(losses, 1), round(1000 * losses / steps, 2)])
     return rows
 
 
 LEDGER_HEADERS = ("arm", "stage", "trials", "steps", "robots lost", "lost per 1,000 steps")
 
 
-def claim_rows(findings: Sequence[Finding]) -> list[list[Any]]:
-    """Return the claims table: one row per finding, in the order of the claims."""
+#: The columns of the claims at a glance: what each indirect arm is, against plain direct learning.
+GLANCED = ("copy", "copy+prior")
+
+
+def glance_rows(findings: Sequence[Finding], readings: Sequence[str]) -> list[list[Any]]:
+    """Return one row per claim: what the paper says, and a verdict per preset and indirect arm."""
+    rows: list[list[Any]] = []
+    for name, claim in CLAIMS.items():
+        row: list[Any] = [name, claim.says, claim.where]
+        for reading in readings:
+            about = [f for f in findings if f.claim == name and f.reading == reading]
+            for arm in GLANCED:
+                row.append(next((f.verdict for f in about if _speaks_of(f, arm)), None))
+        rows.append(row)
+    return rows
+
+
+def _speaks_of(finding: Finding, arm: str) -> bool:
+    """Whether a finding is the arm's own, its contrast with direct learning, or the same for every arm."""
+    first, _, second = finding.contrast.partition(" − ")
+    if finding.claim in ("C1", "C2", "C5b", "C7b"):
+        return True
+    return first == arm and (finding.claim in ("C10", "C11") or second in ("", "direct"))
+
+
+def finding_rows(findings: Sequence[Finding]) -> list[list[Any]]:
+    """Return the measures behind the verdicts: one row per finding, in the order of the claims."""
     order = list(CLAIMS)
     adjusted = holm_adjusted(list(findings))
     rows = []
     for finding, p in sorted(zip(findings, adjusted, strict=True), key=lambda pair: order.index(pair[0].claim)):
-        claim = CLAIMS[finding.claim]
         chance = "" if p is None else ("< 0.001" if p < 0.001 else f"{p:.3f}")
         rows.append(
-            [finding.claim, claim.says, finding.reading, finding.contrast, claim.measure, str(finding.interval),
-             finding.better, finding.verdict, chance, finding.note]
+            [finding.claim, finding.reading, finding.contrast, str(finding.interval), finding.better, finding.verdict,
+             chance, finding.note]
         )  # fmt: skip
     return rows
 
 
-CLAIM_HEADERS = (
-    "claim", "the paper", "preset", "contrast", "measured by", "estimate [95 % interval]", "holds if", "verdict",
-    "p (Holm)", "note",
-)  # fmt: skip
+FINDING_HEADERS = ("claim", "preset", "contrast", "estimate [interval]", "holds if", "verdict", "p (Holm)", "note")
 
 
 def add_curves(report: Report, samples: Mapping[str, Sample], title: str) -> None:

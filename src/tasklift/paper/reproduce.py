@@ -15,7 +15,7 @@ from tasklift.lab.report import Report
 from tasklift.lab.runs import export
 from tasklift.paper import figures, report
 from tasklift.paper.arms import ARMS
-from tasklift.paper.claims import Finding, Sample, all_samples, evaluate
+from tasklift.paper.claims import CLAIMS, Finding, Sample, all_samples, evaluate
 from tasklift.paper.study import Study
 from tasklift.paper.survey import Survey, survey
 
@@ -134,28 +134,27 @@ def crossing(building: Building) -> tuple[int, int]:
 
 
 def verdict_lines(samples: dict[str, dict[str, Sample]], findings: Sequence[Finding]) -> list[str]:
-    """Say in words and numbers what came out, per preset."""
+    """Say in words and numbers what came out, per preset and indirect arm."""
     lines = []
     for reading, arms in samples.items():
         direct = arms["direct"]
-        for arm in ("copy", "copy+prior"):
-            about = [f for f in findings if f.reading == reading and f.contrast.split(" − ")[0] == arm]
-            against = [f for f in about if f.contrast in (arm, f"{arm} − direct") or f.claim in ("C10", "C11")]
-            count = {v: [f.claim for f in against if f.verdict == v] for v in ("holds", "does not hold", "undecided")}
-            lost = next(f for f in about if f.claim == "C6" and f.contrast.endswith("− direct"))
-            time = next(f for f in about if f.claim == "C4" and f.contrast.endswith("− direct"))
+        for arm in report.GLANCED:
+            about = [f for f in findings if f.reading == reading and f.contrast in (arm, f"{arm} − direct")]
+            about += [f for f in findings if f.reading == reading and f.claim in ("C10", "C11") and f not in about
+                      and f.contrast.split(" − ")[0] == arm]  # fmt: skip
+            lost = next(f for f in about if f.claim == "C6")
+            time = next(f for f in about if f.claim == "C4")
+            tally = "; ".join(
+                f"{verdict}: {', '.join(f.claim for f in about if f.verdict == verdict) or 'none'}"
+                for verdict in ("holds", "does not hold", "undecided")
+            )
             lines.append(
                 f"**{reading}, {arm} against direct.** Robots lost a trial: {arms[arm].losses.mean():.1f} against "
                 f"{direct.losses.mean():.1f} of {direct.n_robots} (difference {lost.interval}). Steps of the last 20 "
                 f"trials: {arms[arm].steps[:, -20:].mean():.0f} against {direct.steps[:, -20:].mean():.0f} "
-                f"(difference {time.interval}). Of the paper's claims, {_named(count['holds'], 'hold')}; "
-                f"{_named(count['does not hold'], 'do not hold')}; {_named(count['undecided'], 'are undecided')}."
+                f"(difference {time.interval}). Claims of the paper: {tally}."
             )
     return lines
-
-
-def _named(claims: list[str], verb: str) -> str:
-    return f"{', '.join(claims)} {verb}" if claims else f"none {verb}"
 
 
 def _report(
@@ -184,7 +183,18 @@ def _report(
         "Intervals are 95 % (BCa bootstrap over seeds within maps; C2: 90 %, two one-sided tests). A verdict follows "
         "from its interval alone; p-values are of sign-flip tests, adjusted for the whole table after Holm."
     )
-    page.table(report.CLAIM_HEADERS, report.claim_rows(findings))
+    columns = [f"{reading}, {arm}" for reading in samples for arm in report.GLANCED]
+    page.table(
+        ["claim", "the paper", "where", *columns],
+        report.glance_rows(findings, list(samples)),
+        caption="The claims at a glance: each indirect arm against plain direct learning",
+    )
+    page.table(["claim", "how it is measured here"], [[name, claim.measure] for name, claim in CLAIMS.items()])
+    page.table(
+        report.FINDING_HEADERS,
+        report.finding_rows(findings),
+        caption="The measures behind the verdicts, also against the controls `direct+budget` and `prior`",
+    )
     page.section("Figure 1: a building as a plan and as its graph")
     page.figure(drawn["figure1"], "Dark: intersections, white: rooms, grey: features; the start is at the bottom.")
     page.section("Figure 2: covered area and goal at an intersection")

@@ -411,8 +411,6 @@ def correlate(survey: Survey, *, permutations: int = 9999, seed: int = 0) -> lis
 
     properties = [map_properties(of.building) for of in survey.maps]
     columns = np.array([[row[name] for row in properties] for name in PROPERTIES])
-    # what differs by rounding only is the same
-    columns = np.array([np.round(c, 9 - int(np.ceil(np.log10(abs(c).max() + 1e-9)))) for c in columns])
     ranks = np.apply_along_axis(rankdata, 1, columns)
     ranks = ranks - ranks.mean(axis=1, keepdims=True)
     slopes = rankdata(survey.mean_slopes())

@@ -93,7 +93,8 @@ def compare(
         raise TaskliftError("runs compare: give two experiments, or one and two of its arms")
     other = first if second is None else second
     with Store.read(first) as a, Store.read(other) as b:
-        left, right = _keyed(a, arms and arms[0]), _keyed(b, arms and arms[1])
+        pair = f"{arms[1]} - {arms[0]}" if arms else ""
+        left, right = _keyed(a, arms and arms[0], pair), _keyed(b, arms and arms[1], pair)
         changed = differences(a.spec.settings, b.spec.settings)
     shared = sorted(left.keys() & right.keys())
     if not shared:
@@ -110,7 +111,7 @@ def compare(
             rows.append([reading, arm, name, float(x.mean()), float(y.mean()), str(found), len(keys)])
     rows = [[*row, float(q)] for row, q in zip(rows, stats.holm(p) if p else [], strict=True)]
     headers = ["reading", "arm", "summary", "first", "second", "difference [95 %]", "pairs", "p (Holm)"]
-    title = f"{arms[1]} minus {arms[0]}" if arms else f"{other} minus {first}"
+    title = "Paired differences, second minus first"
     tables = [Table(title, headers, rows)]
     if second is not None:
         tables.insert(0, Table("Settings that differ", ["first, not second"], [[line] for line in changed]))
@@ -123,7 +124,8 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: s
     Parameters
     ----------
     what
-        ``"trials"``: a row per trial, with spec, version, cell, stage, trial (from 1) and every column.
+        ``"trials"``: a row per trial, with spec (the first 12 digits of its id), version, cell, stage, trial
+        (from 1) and every column.
         ``"cells"``: a row per cell with its summaries.
     """
     target = Path(out)
@@ -155,10 +157,10 @@ def _numbers(summary: dict[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in summary.items() if isinstance(value, (int, float))}
 
 
-def _keyed(store: Store, arm: str | None) -> dict[tuple[str, str, str, int], dict[str, float]]:
-    """Summaries by (reading, arm, map, seed); with an arm named, that one's, under no name, to pair arms."""
+def _keyed(store: Store, arm: str | None, pair: str) -> dict[tuple[str, str, str, int], dict[str, float]]:
+    """Summaries by (reading, arm, map, seed); of one arm only if it is named, and then as `pair`."""
     return {
-        (cell.reading, "" if arm else cell.arm, cell.map, cell.seed): _numbers(summary)
+        (cell.reading, pair if arm else cell.arm, cell.map, cell.seed): _numbers(summary)
         for cell, summary in store.outlines(arm=arm)
     }
 
@@ -195,7 +197,7 @@ def _columns(store: Store, what: str) -> dict[str, type]:
 
 def _batches(store: Store, what: str, columns: dict[str, type]) -> Iterator[dict[str, list[Any]]]:
     """Yield the rows column by column, some hundred cells at a time; None where a cell lacks a column."""
-    versions, spec = store.origins(), store.spec.id
+    versions, spec = store.origins(), store.spec.id[:12]
     batch: dict[str, list[Any]] = {name: [] for name in columns}
     for count, (cell, stage, given) in enumerate(_parts(store, what), 1):
         n = len(next(iter(given.values()), [None]))

@@ -248,7 +248,7 @@ async function start() {
     const asked = /^#(\d+)$/.exec(location.hash);
     if (asked) player.go(Number(asked[1]));
     else if (!window.matchMedia("(prefers-reduced-motion: reduce)").matches) player.toggle();
-    window.player = player; // for the console, and for tests
+    window.tasklift = player; // for the console, and for tests
   } catch (error) {
     message.textContent = error instanceof Unreadable ? error.message : `The replay is damaged: ${error.message}`;
     message.hidden = false;

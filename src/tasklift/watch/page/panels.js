@@ -110,6 +110,9 @@ class Timeline {
   }
 
   draw() {
+    const [{ canvas: first }] = this.rows;
+    this.left = first.getBoundingClientRect().left - byId("timeline").getBoundingClientRect().left;
+    this.width = first.clientWidth;
     for (const { trace, canvas } of this.rows) {
       const width = canvas.clientWidth, height = canvas.clientHeight, ratio = Math.min(3, window.devicePixelRatio || 1);
       canvas.width = width * ratio;
@@ -151,10 +154,17 @@ class Timeline {
     }
   }
 
-  show(time) {
-    const [{ canvas }] = this.rows, left = canvas.getBoundingClientRect().left - byId("timeline").getBoundingClientRect().left;
-    byId("playhead").style.left = `${left + this.x(time, canvas.clientWidth)}px`;
+  show(time) { byId("playhead").style.left = `${this.left + this.x(time, this.width)}px`; }
+}
+
+/** How many of the events, in order of time, have happened by then. */
+function upTo(events, time) {
+  let [low, high] = [0, events.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (events[middle].t <= time) low = middle + 1; else high = middle;
   }
+  return low;
 }
 
 /** The events of the panel that is looked at. */
@@ -192,7 +202,7 @@ class Log {
 
   /** Mark what has happened; long lists are shown a stretch at a time, around the present. */
   show(time) {
-    const list = byId("events"), past = this.events.filter((e) => e.t <= time).length;
+    const list = byId("events"), past = upTo(this.events, time);
     const first = Math.max(0, Math.floor((past - 100) / 100) * 100);
     if (first !== this.first) {
       list.replaceChildren(...this.events.slice(first, first + 400).map((e) => {
@@ -204,11 +214,11 @@ class Log {
       this.past = -1;
     }
     if (past === this.past) return;
+    const [low, high] = this.past < 0 ? [0, list.children.length] : [Math.min(past, this.past) - first - 1, Math.max(past, this.past) - first + 1];
+    for (let i = Math.max(0, low); i < Math.min(high, list.children.length); i++) {
+      list.children[i].firstChild.className = `${first + i >= past ? "later" : ""}${first + i === past - 1 ? "now" : ""}`;
+    }
     this.past = past;
-    [...list.children].forEach((item, i) => {
-      item.firstChild.classList.toggle("later", first + i >= past);
-      item.firstChild.classList.toggle("now", first + i === past - 1);
-    });
     const now = list.querySelector(".now");
     if (now && !list.matches(":hover")) list.scrollTop = now.offsetTop - list.clientHeight / 2;
     else if (!now) list.scrollTop = 0;

@@ -117,16 +117,19 @@ class Scene {
     this.pen = canvas.getContext("2d");
     this.ghost = document.createElement("canvas");
     this.full = document.createElement("canvas");
-    this.shown = document.createElement("canvas");
+    this.mask = document.createElement("canvas");
+    this.shown = document.createElement("canvas"); // in the page, below `canvas`: it changes less often
+    canvas.before(this.shown);
     this.knownAt = 0; // the frame that `known` stands for
     this.known = new Uint8Array(trace.building.e);
+    this.sprites = new Map();
   }
 
   resize(width, height) {
     const ratio = Math.min(3, window.devicePixelRatio || 1);
     if (width === this.width && height === this.height && ratio === this.ratio) return;
     Object.assign(this, { width, height, ratio });
-    for (const canvas of [this.canvas, this.ghost, this.full, this.shown]) {
+    for (const canvas of [this.canvas, this.ghost, this.full, this.mask, this.shown]) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
     }
@@ -170,10 +173,8 @@ class Scene {
   /** Bring `known` to frame t; every change is its own reversal. */
   seek(t) {
     const { changes } = this.trace;
-    const changed = t !== this.knownAt;
     for (; this.knownAt < t; this.knownAt++) for (const e of changes[this.knownAt + 1]) this.known[e] ^= 1;
     for (; this.knownAt > t; this.knownAt--) for (const e of changes[this.knownAt]) this.known[e] ^= 1;
-    return changed;
   }
 
   /** 1: the team (or the selected robot) knows the corridor; 0.4: only robots that were lost saw it; 0: nobody. */
@@ -188,37 +189,58 @@ class Scene {
     return trace.visited[edge] >= 0 && trace.visited[edge] <= t ? 0.4 : 0;
   }
 
-  /** Cut the known part out of the full plan. */
-  drawKnown(t) {
-    const { building } = this.trace, pen = this.shown.getContext("2d"), px = 1 / this.k;
-    pen.setTransform(1, 0, 0, 1, 0, 0);
-    pen.globalCompositeOperation = "source-over";
-    pen.clearRect(0, 0, this.shown.width, this.shown.height);
-    this.world(pen);
-    this.reached = new Uint8Array(building.n);
-    this.reached[building.start] = 1;
-    const parts = [[], []];
-    for (let e = 0; e < building.e; e++) {
-      const knowledge = this.knowledge(e, t);
-      if (knowledge === 0) continue;
-      parts[knowledge === 1 ? 1 : 0].push(e);
-      for (const node of building.edges[e]) this.reached[node] = Math.max(this.reached[node], knowledge === 1 ? 2 : 1);
+  /**
+   * The known part of the full plan over the dimmed one, until something changes. Where the team has only learned
+   * since frame `since`, just that is added.
+   */
+  drawKnown(t, since) {
+    const { building, changes } = this.trace, pen = this.mask.getContext("2d"), px = 1 / this.k;
+    let edges = building.edges.keys();
+    if (since >= 0) {
+      edges = [];
+      for (let f = since + 1; f <= t; f++) edges.push(...changes[f]);
+    } else {
+      pen.setTransform(1, 0, 0, 1, 0, 0);
+      pen.clearRect(0, 0, this.mask.width, this.mask.height);
+      this.reached = new Uint8Array(building.n);
+      this.showRoom(pen, building.start);
     }
+    this.world(pen);
     pen.strokeStyle = pen.fillStyle = "#000";
     pen.lineCap = "square";
-    for (const [edges, alpha] of [[parts[0], 0.45], [parts[1], 1]]) {
+    const faint = [], clear = [];
+    for (const e of edges) {
+      const knowledge = this.knowledge(e, t);
+      if (knowledge > 0) (knowledge === 1 ? clear : faint).push(e);
+    }
+    for (const [list, alpha] of [[faint, 0.45], [clear, 1]]) {
       pen.globalAlpha = alpha;
-      for (const e of edges) {
+      for (const e of list) {
         pen.lineWidth = building.width[e] + 3 * px;
         pen.stroke(this.plan.edges[e]);
       }
     }
     pen.globalAlpha = 1;
-    pen.lineWidth = 3 * px;
-    for (const [node, room] of this.plan.rooms) if (this.reached[node]) { pen.fill(room); pen.stroke(room); }
-    pen.setTransform(1, 0, 0, 1, 0, 0);
-    pen.globalCompositeOperation = "source-in";
-    pen.drawImage(this.full, 0, 0);
+    for (const e of [...faint, ...clear]) for (const node of building.edges[e]) this.showRoom(pen, node);
+    const shown = this.shown.getContext("2d");
+    shown.globalCompositeOperation = "copy";
+    shown.drawImage(this.mask, 0, 0);
+    shown.globalCompositeOperation = "source-in";
+    shown.drawImage(this.full, 0, 0);
+    shown.globalCompositeOperation = "destination-over";
+    shown.drawImage(this.ghost, 0, 0);
+  }
+
+  /** Somebody has been at a node: its room, if it is one, is no longer dim. */
+  showRoom(pen, node) {
+    const room = this.plan.rooms.get(node);
+    if (room && !this.reached[node]) {
+      this.world(pen);
+      pen.lineWidth = 3 / this.k;
+      pen.fill(room);
+      pen.stroke(room);
+    }
+    this.reached[node] = 1;
   }
 
   /** Draw the moment `time` (steps, with a fraction). */
@@ -229,14 +251,16 @@ class Scene {
     const stamp = `${this.view.version} ${this.width} ${this.height} ${this.ratio} ${palette.paper}`;
     const fresh = this.layers !== stamp;
     if (fresh) { this.drawLayers(); this.layers = stamp; }
-    const moved = this.seek(t);
-    const changed = moved && (this.selected >= 0 || trace.changes[t].length > 0 || this.last !== t - 1);
-    if (fresh || changed || this.shownFor !== this.selected) { this.drawKnown(t); this.shownFor = this.selected; }
-    this.last = t;
+    const before = this.knownAt;
+    this.seek(t);
+    if (fresh || t < before || this.selected >= 0 || this.shownFor !== this.selected) this.drawKnown(t, -1);
+    else if (t > before) {
+      const changed = trace.changes.slice(before + 1, t + 1).flat();
+      if (changed.length > 0) this.drawKnown(t, changed.every((e) => this.known[e]) ? before : -1);
+    }
+    this.shownFor = this.selected;
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    pen.drawImage(this.ghost, 0, 0);
-    pen.drawImage(this.shown, 0, 0);
     this.drawDiscoveries(time, t);
     this.drawRooms(t);
     this.screen(pen);
@@ -356,8 +380,7 @@ class Scene {
   /** Alerts spread as rings, to the range at which they are heard; a failed attack is heard everywhere. */
   drawRipples(time, t) {
     const { pen, trace } = this;
-    for (const event of trace.events) {
-      if (event.t > t) break;
+    for (const event of trace.events.slice(upTo(trace.events, t - 10), upTo(trace.events, t))) {
       const age = (time - event.t) / 10;
       const fails = event.type === "attack" && trace.failed.some((f) => f.frame === event.t && f.node === event.node);
       if (age >= 1 || !(event.type === "alert" || fails)) continue;
@@ -443,8 +466,8 @@ class Scene {
 
   /** Half a robot's width in pixels. */
   size() {
-    const crowd = this.trace.R > 60 ? 0.6 : 1;
-    return crowd * Math.max(4.6, Math.min(9, 0.42 * this.k));
+    const crowd = this.trace.R > 60;
+    return Math.max(crowd ? 2.2 : 4.6, Math.min(9, (crowd ? 0.34 : 0.42) * this.k));
   }
 
   /** Where everybody is on the screen: between two frames, on the straight line. */
@@ -563,19 +586,32 @@ class Scene {
     }
   }
 
-  drawRobots() {
-    const { pen, trace, frame } = this, size = this.size();
-    pen.lineJoin = "round";
-    for (const { r, x, y } of this.drawn) {
-      const level = trace.at("danger", r, frame);
-      if (level > 0) { // the danger level is a ring: one line for suspected, a bold one for attacked
+  /** One kind of robot at one danger level, drawn once: one ring for suspected, a bold one for attacked. */
+  sprite(kind, level, size) {
+    const key = `${kind} ${level} ${size} ${this.ratio} ${palette.paper}`;
+    if (!this.sprites.has(key)) {
+      const half = Math.ceil(size + 5), canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
+      canvas.width = canvas.height = 2 * half * this.ratio;
+      pen.setTransform(this.ratio, 0, 0, this.ratio, half * this.ratio, half * this.ratio);
+      pen.lineJoin = "round";
+      if (level > 0) {
         pen.strokeStyle = level === 2 ? palette.danger : palette.alert;
         pen.lineWidth = level === 2 ? 2.6 : 1.8;
         pen.beginPath();
-        pen.arc(x, y, size + 2, 0, 7);
+        pen.arc(0, 0, size + 2, 0, 7);
         pen.stroke();
       }
-      robotShape(pen, trace.kinds, trace.kindOf[r], x, y, size);
+      robotShape(pen, this.trace.kinds, kind, 0, 0, size);
+      this.sprites.set(key, { canvas, half });
+    }
+    return this.sprites.get(key);
+  }
+
+  drawRobots() {
+    const { pen, trace, frame } = this, size = this.size();
+    for (const { r, x, y } of this.drawn) {
+      const { canvas, half } = this.sprite(trace.kindOf[r], trace.at("danger", r, frame), size);
+      pen.drawImage(canvas, x - half, y - half, 2 * half, 2 * half);
       if (r === this.selected) {
         pen.strokeStyle = palette.accent;
         pen.lineWidth = 2.5;
@@ -645,6 +681,6 @@ function robotShape(pen, kinds, kind, x, y, size) {
   pen.fillStyle = palette[`kind${kind % 4}`];
   pen.fill();
   pen.strokeStyle = palette.paper;
-  pen.lineWidth = Math.max(1, size / 5);
+  pen.lineWidth = Math.max(0.7, size / 5);
   pen.stroke();
 }

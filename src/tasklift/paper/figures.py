@@ -308,6 +308,8 @@ def figure4(
     single
         The arms of that run.
     """
+    from matplotlib.ticker import MaxNLocator
+
     figure = _page(PAGE, 4.9)
     axes = figure.subplots(2, 3, sharex=True, sharey="col")
     top: dict[str, float] = {"steps": store.spec.settings["limit"]}
@@ -336,6 +338,7 @@ def figure4(
         above.set_title(f"({'abc'[column]}) {label}")
         below.set_xlabel("trial on T")
         above.set_ylim(0, top[name] * 1.04)
+        above.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
         for ax in (above, below):
             ax.grid(axis="y")
     cells = len(curves.cells)

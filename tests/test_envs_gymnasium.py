@@ -9,7 +9,9 @@ from tasklift.envs.gymnasium import Event, Factored
 from tasklift.errors import TaskliftError
 from tasklift.policy import Policy
 from tasklift.task import Task, Variable
+from tasklift.transfer import Curriculum, Stage
 from tasklift.values import ValueLearning, evaluate, learn_values
+from tasklift.verdict import compare
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -44,9 +46,7 @@ def frozen_lake(**options) -> Factored:
 
 
 def cliff_walk(**options) -> Factored:
-    return Factored(
-        gymnasium.make("CliffWalking-v1", **options), CLIFF, loss=lambda e: e.reward == -100, limit=5000
-    )
+    return Factored(gymnasium.make("CliffWalking-v1", **options), CLIFF, loss=lambda e: e.reward == -100, limit=5000)
 
 
 # -- external checks -----------------------------------------------------------------------------------------
@@ -259,3 +259,26 @@ def test_mistakes_are_named(call, message: str) -> None:
 def test_a_policy_of_weights_plays_too() -> None:
     outcomes = evaluate(frozen_lake().model(), Policy.equal(lake_task(4)), trials=200)
     assert 0 <= outcomes.success.mean() < 0.2
+
+
+# -- does transfer pay: the simple version of three environments first ----------------------------------------
+
+Q = ValueLearning("q-learning", step_size=0.1, epsilon=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "switch", "task", "loss", "trials"),
+    [
+        ("Taxi-v4", {}, {"is_rainy": True}, TAXI, lambda e: e.reward == -10, 400),
+        ("CliffWalking-v1", {"max_episode_steps": 200}, {"is_slippery": True}, CLIFF, lambda e: e.reward == -100, 300),
+    ],
+)
+@pytest.mark.parametrize("seeds", [16, pytest.param(100, marks=pytest.mark.slow)])
+def test_the_switch_of_an_environment_is_a_simpler_task(name, options, switch, task, loss, trials, seeds) -> None:
+    plain, full = (Factored(gymnasium.make(name, **options, **more), task, loss=loss).model() for more in ({}, switch))
+    stages = [Stage("simple", task, plain, Q, trials=trials), Stage("full", task, full, Q, trials=trials)]
+    told = compare(Curriculum(stages), seeds=seeds)
+    assert told.finding("jumpstart (return, first 10 trials)").told == "helps"
+    assert told.finding("losses, target only").told == "helps"
+    assert told.finding("losses, all stages, equal total budget").told == "helps"
+    assert told.ledger["simple"] > 0

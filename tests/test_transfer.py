@@ -207,7 +207,7 @@ def first_verdict(differences: np.ndarray, alpha: float = 0.05) -> str:
 def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
     # looked at after each of 300 pairs; each side may be wrong in 5 % of streams, and 3 standard errors more
     rng = np.random.default_rng(11)
-    streams, pairs = 1000, 300
+    streams, pairs = 500, 300
     if kind == "signs":
         data = rng.choice([-1.0, 1.0], (streams, pairs))
     elif kind == "bounded":

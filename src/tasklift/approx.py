@@ -23,7 +23,7 @@ from tasklift import rules
 from tasklift.errors import TaskliftError
 from tasklift.learn import GREEDY_STAGE, whole_number
 from tasklift.policy import Policy, Prior, spread
-from tasklift.steps import StepOutcomes, Steps, View, outcomes_of, trial_rng
+from tasklift.steps import Chances, StepOutcomes, Steps, View, outcomes_of
 from tasklift.task import Task
 from tasklift.variable import Variable
 
@@ -182,8 +182,9 @@ def play(
     """Run trials with the best output at every step, ties at random, and learn nothing."""
     whole_number(trials, "play, trials", at_least=1)
     collector = _Collector(world, approximation.task)
+    chances = Chances(seed, stage)
     for i in range(trials):
-        collector.trial(approximation, trial_rng(seed, stage, i), epsilon=0.0)
+        collector.trial(approximation, chances.of(i), epsilon=0.0)
     return outcomes_of(collector.records, world.limit)
 
 
@@ -240,10 +241,10 @@ def learn_approximate(
     whole = start.task if start is not None else task or world.task
     base = start or Approximation(whole, _Zero(whole.shape[1]))
     current = base
-    collector = _Collector(world, whole)
+    collector, chances = _Collector(world, whole), Chances(seed, stage)
     for number in range(rounds):
         for i in range(trials):
-            collector.trial(current, trial_rng(seed, stage, number * trials + i), epsilon)
+            collector.trial(current, chances.of(number * trials + i), epsilon)
         memory = collector.memory()
         base_now = base.rows(memory.before)[np.arange(len(memory.output)), memory.output]
         for _ in range(sweeps):

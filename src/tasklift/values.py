@@ -24,7 +24,7 @@ from tasklift.errors import TaskliftError
 from tasklift.learn import GREEDY_STAGE, TARGET_STAGE, whole_number
 from tasklift.model import Model
 from tasklift.policy import Policy
-from tasklift.steps import StepOutcomes, Steps, View, outcomes_of, trial_rng
+from tasklift.steps import Chances, StepOutcomes, Steps, View, outcomes_of
 from tasklift.task import Task
 from tasklift.variable import plain_number
 
@@ -140,19 +140,18 @@ def learn_values(
         whole_number(max_losses, "learn_values, max_losses", at_least=1)
     start = policy or learning.start(task or world.task)
     if start.kind != "value":
-        raise TaskliftError(
-            "learn_values: expected a policy of values, found one of weights; start from scratch"
-        )
+        raise TaskliftError("learn_values: expected a policy of values, found one of weights; start from scratch")
     carried = learning.carried(start.task) | dict(start.carried)
     values, visits = start.weights.copy(), np.array(carried["visits"])
     epsilon = float(carried["epsilon"])
     one_trial = _trial_of(world, start.task, values, visits, learning)
     records: list[Record] = []
+    chances = Chances(seed, stage)
     walked = lost = 0
     while trials is None or len(records) < trials:
         if (steps is not None and walked >= steps) or (max_losses is not None and lost >= max_losses):
             break
-        records.append(one_trial(trial_rng(seed, stage, first_trial + len(records)), epsilon, True))
+        records.append(one_trial(chances.of(first_trial + len(records)), epsilon, True))
         walked, lost = walked + records[-1][0], lost + records[-1][2]
         epsilon = max(learning.epsilon_least, epsilon * learning.epsilon_decay)
     outcomes = outcomes_of(records, world.limit)
@@ -185,9 +184,8 @@ def evaluate(
     whole_number(trials, "evaluate, trials", at_least=1)
     values, visits = policy.weights.copy(), np.zeros(policy.task.shape)
     one_trial = _trial_of(world, policy.task, values, visits, ValueLearning())
-    return outcomes_of(
-        [one_trial(trial_rng(seed, stage, i), epsilon, False) for i in range(trials)], world.limit
-    )
+    chances = Chances(seed, stage)
+    return outcomes_of([one_trial(chances.of(i), epsilon, False) for i in range(trials)], world.limit)
 
 
 def _trial_of(

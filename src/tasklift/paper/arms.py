@@ -34,7 +34,11 @@ class Arm:
     learns
         False: a reference that never changes.
     budget
-        Whether V's traversals are spent as additional trials on T before the counting starts.
+        Additional trials on T before the counting starts; -1: as many as V has traversals.
+    drills
+        Trials against hostiles that repel instead of destroying, by exploration, before T (rule 21).
+    loss_signal
+        Given to the input and output with which a robot took part in a failed attack; 0 is the paper.
     selection
         Overrides the study's selection rule on T.
     meaning
@@ -45,7 +49,9 @@ class Arm:
     start: Start
     meaning: str
     learns: bool = True
-    budget: bool = False
+    budget: int = 0
+    drills: int = 0
+    loss_signal: float = 0.0
     selection: Literal["exploration", "pseudo-random", "exploitation"] | None = None
 
     @property
@@ -55,7 +61,18 @@ class Arm:
 
     def reinforcement(self, base: Reinforcement) -> Reinforcement:
         """Return the study's learner settings with this arm's own."""
-        return base if self.selection is None else replace(base, selection=self.selection)
+        selection = base.selection if self.selection is None else self.selection
+        return replace(base, selection=selection, loss_signal=self.loss_signal or base.loss_signal)
+
+
+#: The additions of ours are compared at equal total trials: so many before the 100 on T that count.
+SPENT_BEFORE = 300
+LOSS_SIGNAL = -0.5
+
+
+def _ours(name: str, start: Start, meaning: str, **options: int) -> Arm:
+    """An arm with the loss signal, on T at q = .9."""
+    return Arm(name, start, meaning, loss_signal=LOSS_SIGNAL, selection="pseudo-random", **options)
 
 
 ARMS: dict[str, Arm] = {
@@ -65,7 +82,7 @@ ARMS: dict[str, Arm] = {
         Arm("expert", "expert", "stops at doors until m weapon robots are there, else moves; never learns",
             learns=False),
         Arm("direct", "equal", "learns T from equal weights"),
-        Arm("direct+budget", "equal", "direct, with V's traversals spent as additional trials on T", budget=True),
+        Arm("direct+budget", "equal", "direct, with V's traversals spent as additional trials on T", budget=-1),
         Arm("copy", "copy", "learns V, copies its weights, continues on T: the paper's indirect learning"),
         Arm("prior", "prior", "equal weights, with the prior knowledge but without V"),
         Arm("copy+prior", "copy+prior", "copy, with stop and move swapped at doors for teams too weak"),
@@ -73,6 +90,13 @@ ARMS: dict[str, Arm] = {
             selection="exploitation"),
         Arm("copy+prior, exploitation", "copy+prior", "copy+prior, always taking the heaviest output (for C10)",
             selection="exploitation"),
+        _ours("direct, loss signal", "equal", "direct, punished for every loss, at q = .9"),
+        _ours("direct+budget, loss signal", "equal", "the same with 300 additional trials on T before",
+              budget=SPENT_BEFORE),
+        _ours("drill", "equal", "300 drills (hostiles that repel), then T, with the loss signal, at q = .9",
+              drills=SPENT_BEFORE),
+        _ours("V→drill", "copy", "V's 220 traversals, copied, then 80 drills, then T, with the loss signal, at q = .9",
+              drills=SPENT_BEFORE - 220),
     )
 }  # fmt: skip
 

@@ -62,6 +62,8 @@ CLAIMS: dict[str, Claim] = {
 #: Which arm each indirect arm is held against: plain direct learning, and the control that isolates its cause.
 CONTRASTS = (("copy", "direct"), ("copy", "direct+budget"), ("copy+prior", "direct"), ("copy+prior", "prior"))
 INDIRECT = ("copy", "copy+prior")
+#: The policies that C11 measures an indirect arm's against.
+RIVALS = ("expert", "direct", "direct+budget", "copy", "prior", "copy+prior")
 LAST, WINDOW = 20, 10
 
 
@@ -261,7 +263,7 @@ class _Judge:
     def _optimal(self, arm: str) -> Finding:
         """C11: not slower than the fastest other policy by more than 5 %, and not losing more robots."""
         sample = self.samples[arm]
-        others = {name: s for name, s in self.samples.items() if name != arm and "exploitation" not in name}
+        others = {name: s for name, s in self.samples.items() if name in RIVALS and name != arm}
         fastest = min(others, key=lambda name: float(others[name].greedy_steps.mean()))
         reference = others[fastest]
         gap = self._interval(sample.greedy_steps - reference.greedy_steps, sample.maps)

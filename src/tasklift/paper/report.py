@@ -111,14 +111,14 @@ def ledger_rows(store: Store, reading: str) -> list[list[Any]]:
                     seen[0] += len(columns["steps"])
                     seen[1] += float(np.sum(columns["steps"]))
                     seen[2] += float(np.sum(columns["losses"]))
-        for stage in ("source", "budget", "target"):
+        for stage in ("source", "budget", "drill", "target"):
             if stage in total:
                 trials, steps, losses = (value / cells for value in total[stage])
                 rows.append([arm, stage, trials, round(steps), round(losses, 1), round(1000 * losses / steps, 2)])
     return rows
 
 
-LEDGER_HEADERS = ("arm", "stage", "trials", "steps", "robots lost", "lost per 1,000 steps")
+LEDGER_HEADERS = ("arm", "stage", "trials", "steps", "robots lost (drill: would be)", "per 1,000 steps")
 
 
 #: The columns of the claims at a glance: what each indirect arm is, against plain direct learning.

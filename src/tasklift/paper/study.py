@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from tasklift.building.mission import SCOUT, WEAPON, Kind, Mission, Reading, sea
 from tasklift.building.simulator import SearchOutcomes
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec, grid
-from tasklift.learn import BUDGET_STAGE, GREEDY_STAGE, TARGET_STAGE, Curve, Reinforcement, reinforce
+from tasklift.learn import BUDGET_STAGE, DRILL_STAGE, GREEDY_STAGE, TARGET_STAGE, Curve, Reinforcement, reinforce
 from tasklift.paper.arms import arm_named, learn_source, start_policy
 from tasklift.policy import Policy
 from tasklift.task import Task
@@ -159,14 +159,20 @@ class Study:
         source = self._source(cell).policy if arm.needs_source else None
         return start_policy(arm.start, self.task, source, self.reinforcement.initial_weight)
 
+    def before(self, cell: Cell, trial: int) -> Policy:
+        """Return the policy with which a cell enters one of its trials on T, counted from 1."""
+        policy, _ = self._enter(cell)
+        arm = arm_named(cell.arm)
+        if not arm.learns or trial == 1:
+            return policy
+        rules, mission = arm.reinforcement(self.reinforcement), self.mission(cell.reading, cell.map)
+        return reinforce(mission, policy, trials=trial - 1, seed=cell.seed, reinforcement=rules).policy
+
     def _train(self, cell: Cell) -> tuple[Policy, dict[str, SearchOutcomes]]:
-        """Return the policy at the end and the outcomes of each stage: source, budget, target."""
+        """Return the policy at the end and the outcomes of each stage: source, budget, drill, target."""
         mission, arm = self.mission(cell.reading, cell.map), arm_named(cell.arm)
         rules = arm.reinforcement(self.reinforcement)
-        policy = self.start(cell)
-        stages: dict[str, Any] = {}
-        if arm.needs_source:
-            stages["source"] = self._source(cell).outcomes
+        policy, stages = self._enter(cell)
         if not arm.learns:
             stages["target"] = mission.run(
                 policy.task,
@@ -178,19 +184,34 @@ class Study:
                 learn=False,
             )
             return policy, stages
-        if arm.budget:
-            spent = reinforce(
-                mission,
-                policy,
-                trials=self.repeats * policy.task.shape[1],
-                seed=cell.seed,
-                stage=BUDGET_STAGE,
-                reinforcement=rules,
-            )
-            policy, stages["budget"] = spent.policy, spent.outcomes
         curve = reinforce(mission, policy, trials=self.trials, seed=cell.seed, reinforcement=rules)
         stages["target"] = curve.outcomes
         return curve.policy, stages
+
+    def _enter(self, cell: Cell) -> tuple[Policy, dict[str, Any]]:
+        """Return the policy with which a cell enters T, and the outcomes of the stages before."""
+        mission, arm = self.mission(cell.reading, cell.map), arm_named(cell.arm)
+        rules = arm.reinforcement(self.reinforcement)
+        policy = self.start(cell)
+        stages: dict[str, Any] = {}
+        if arm.needs_source:
+            stages["source"] = self._source(cell).outcomes
+        budget = self.repeats * policy.task.shape[1] if arm.budget < 0 else arm.budget
+        before = (
+            ("budget", mission, budget, BUDGET_STAGE, rules),
+            (
+                "drill",
+                mission.with_reading(drill=True),
+                arm.drills,
+                DRILL_STAGE,
+                replace(rules, selection="exploration"),
+            ),
+        )
+        for name, world, trials, stage, how in before:
+            if trials:
+                spent = reinforce(world, policy, trials=trials, seed=cell.seed, stage=stage, reinforcement=how)
+                policy, stages[name] = spent.policy, spent.outcomes
+        return policy, stages
 
     def _source(self, cell: Cell) -> Curve:
         """V of a cell, learned once for all arms that share it."""

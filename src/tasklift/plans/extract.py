@@ -15,7 +15,15 @@ from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, N
 from tasklift.errors import TaskliftError
 from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, trace
 from tasklift.plans.ros import Plan
-from tasklift.plans.segment import Opening, Regions, Settings, Space, clean, divide, measure_regions
+from tasklift.plans.segment import (
+    Opening,
+    Regions,
+    Settings,
+    Space,
+    clean,
+    divide,
+    jambs,
+)
 
 CORNER_DEGREES = 65.0
 BEND_TOLERANCE_M = 0.6
@@ -48,9 +56,7 @@ def extract(
         pixel = (row, column)
     space = clean(plan, settings, pixel)
     say("dividing at the narrow places")
-    region, openings = divide(space, settings)
-    measure = measure_regions(space, region, openings)
-    is_room = measure.rooms(settings)
+    region, openings, measure, is_room = divide(space, settings)
     region, openings, left_out = _without_closets(region, openings, measure, is_room, settings)
     say("tracing the corridors")
     graph = _draw(space, settings, region, openings, is_room)
@@ -93,19 +99,27 @@ def _draw(
         if not opening.is_door and not is_room[a] and not is_room[b]:
             root[root == max(a, b)] = min(a, b)
     region = root[region]
-    ties = [o for o in openings if root[o.regions[0]] != root[o.regions[1]]]
+    ties = []
+    barred = np.zeros(region.shape, bool)
+    for opening in openings:
+        a, b = (int(root[r]) for r in opening.regions)
+        if a != b:
+            ties.append((opening, [(a, opening.pixel), (b, opening.pixel)]))
+        elif opening.is_door and not is_room[a]:
+            # a corridor leads around to the door's other side: bar it, so that the skeleton ends on either side
+            sides = _bar(barred, space, opening)
+            if sides is not None:
+                ties.append((opening, [(a, side) for side in sides]))
+    region[barred] = 0
 
     whole = PathGraph()
-    tied: dict[tuple[int, int], int] = {}
-    for k, opening in enumerate(ties):
+    of_region: dict[int, list[tuple[int, tuple[int, int]]]] = {}
+    for opening, sides in ties:
         row, column = opening.pixel
         role = "door" if opening.is_door else "path"
         node = whole.add_node(Node((float(row), float(column)), opening.width_m / 2, role))
-        for r in opening.regions:
-            tied[k, int(root[r])] = node
-    of_region: dict[int, list[int]] = {}
-    for k, number in tied:
-        of_region.setdefault(number, []).append(k)
+        for number, point in sides:
+            of_region.setdefault(number, []).append((node, point))
     for number, box in enumerate(ndimage.find_objects(region), start=1):
         if box is None:
             continue
@@ -113,13 +127,33 @@ def _draw(
         box = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in box)
         mask = region[box] == number
         corner = box[0].start, box[1].start
-        points = [(ties[k].pixel[0] - corner[0], ties[k].pixel[1] - corner[1]) for k in mine]
+        points = [(point[0] - corner[0], point[1] - corner[1]) for _, point in mine]
         part, ends = _draw_region(
             space, settings, mask, space.half_width_m[box], points, bool(is_room[number]), number, corner
         )
-        _tie(whole, part, ends, [tied[k, number] for k in mine])
+        _tie(whole, part, ends, [node for node, _ in mine])
     _simplify(whole, space, settings, is_room)
     return whole
+
+
+def _bar(
+    barred: NDArray[np.bool_], space: Space, opening: Opening
+) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    """Draw a bar across a door; returns a cell on either side of it, or ``None`` if that does not work out."""
+    ends = jambs(space.free, opening.pixel, opening.width_m / 2 / space.cell_m)
+    if ends is None:
+        return None
+    line = _straight(*(np.array(end) for end in ends))
+    across = np.subtract(ends[1], ends[0]) / np.hypot(*np.subtract(ends[1], ends[0]))
+    sides = []
+    for sign in (-1, 1):
+        row, column = np.rint(opening.pixel + sign * 3 * np.array([-across[1], across[0]])).astype(int).tolist()
+        if not space.free[row, column]:
+            return None
+        sides.append((row, column))
+    for row, column in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
+        barred[tuple((line + (row, column)).T)] = True
+    return sides[0], sides[1]
 
 
 def _draw_region(

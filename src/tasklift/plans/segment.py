@@ -7,6 +7,7 @@ nearest wall: half the width of the space there.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,15 @@ class Settings:
     prune_m: float = 0.5
     merge_m: float = 1.0
     merge_share: float = 0.8
-    frame_ratio: float = 0.8
+    wall_m: float = 3.0
+    narrowest_m: float = 0.7
+    frame_ratio: float = 0.76
+    corridor_door_ratio: float = 0.65
+    frame_m: float = 1.75
+    leaf_m: float = 1.1
+    deep_frame_m: float = 2.5
+    through_elongation: float = 1.7
+    mouth_elongation: float = 1.4
     bend_degrees: float = 35.0
 
 
@@ -86,7 +95,10 @@ class Space:
 
 @dataclass(eq=False)
 class Opening:
-    """A narrow place between two regions: where it is (cells), how wide (m), whether it is a door."""
+    """A narrow place between two regions: where it is (cells), how wide (m), whether it is a door.
+
+    Both regions may be the same: a door in a corridor that leads around to its other side.
+    """
 
     pixel: tuple[int, int]
     regions: tuple[int, int]
@@ -191,7 +203,7 @@ def _choose(
     return label == best
 
 
-def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening]]:
+def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening], Regions, NDArray[np.bool_]]:
     """Divide the free space at its narrow places.
 
     Every pixel climbs to the top of the ``R`` around it; tops whose pass is hardly lower than they are belong
@@ -200,7 +212,8 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
     Returns
     -------
     tuple
-        Regions ``int32 (H, W)``, from 1 on, 0 where not free; and the openings between them.
+        Regions ``int32 (H, W)``, from 1 on, 0 where not free; the openings between them; what is known of
+        each region; and which regions are rooms.
     """
     half = space.half_width_m
     top = _climb(half)
@@ -212,9 +225,21 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
     merged_peak = np.zeros(group.max() + 1, np.float32)
     np.maximum.at(merged_peak, group, peak)
     a, b, height, where = _passes(basin, half)
-    root = _merge(space, settings, basin, merged_peak, (a, b, height, where))
+    root, narrow = _merge(space, settings, basin, merged_peak, (a, b, height, where))
     region = _tidy(space, settings, root[basin])
-    return region, _openings(space, settings, region)
+    openings = _openings(space, settings, region)
+    measure = measure_regions(space, region, openings)
+    is_room = measure.rooms(settings)
+    openings += _inner_doors(space, settings, region, where[narrow])
+    for opening in openings:
+        if opening.is_door and not is_room[list(opening.regions)].any():
+            # corridors vary in width: only a marked narrowing is a door in one
+            sides, labels = _sides(space, region, opening)
+            opening.is_door = _is_door(
+                settings, space, labels, opening.pixel, sides, opening.width_m, settings.corridor_door_ratio
+            )
+    openings = [o for o in openings if o.is_door or o.regions[0] != o.regions[1]]
+    return region, openings, measure, is_room
 
 
 def _climb(half: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -286,14 +311,19 @@ def _merge(
     basin: NDArray[np.int32],
     peak: NDArray[np.float32],
     passes: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]],
-) -> NDArray[np.int32]:
-    """Join neighbouring basins over their passes, widest first, unless the pass is a narrow place."""
+) -> tuple[NDArray[np.int32], list[int]]:
+    """Join neighbouring basins over their passes, widest first, unless the pass is a narrow place.
+
+    Returns the region of each basin, and which passes were narrow between their neighbours, though there may
+    be another way around.
+    """
     half = space.half_width_m
     root = np.arange(len(peak), dtype=np.int32)
     peak = peak.copy()
     reach = int(np.ceil(settings.near_m / space.cell_m))
     width = half.shape[1]
-    for k in np.argsort(-passes[2], kind="stable"):
+    narrow = []
+    for k in np.argsort(-passes[2], kind="stable").tolist():
         p, q = root[passes[0][k]], root[passes[1][k]]
         if p == q:
             continue
@@ -303,12 +333,14 @@ def _merge(
         else:
             near = _near(half, root, basin, divmod(int(passes[3][k]), width), (p, q), reach)
             apart = height < settings.door_ratio * near
+            if apart:
+                narrow.append(k)
             apart = apart or height < settings.mouth_ratio * max(peak[p], peak[q])
         if not apart:
             root[root == q] = p
             peak[p] = max(peak[p], peak[q])
     _, root = np.unique(root, return_inverse=True)
-    return root.astype(np.int32)
+    return root.astype(np.int32), narrow
 
 
 def _near(
@@ -323,6 +355,53 @@ def _near(
     box = tuple(slice(max(0, v - reach), v + reach + 1) for v in pixel)
     owner = root[basin[box]]
     return min(float(half[box][owner == side].max(initial=0)) for side in sides)
+
+
+def _is_door(
+    settings: Settings,
+    space: Space,
+    region: NDArray[Any],
+    pixel: tuple[int, int],
+    sides: tuple[int, int],
+    opening_m: float,
+    ratio: float,
+) -> bool:
+    """Whether a narrow place is a door: the space on both sides is wider by ``ratio``, soon enough."""
+    half = space.half_width_m
+    wide = opening_m / 2 / ratio + space.cell_m / 2
+    reach = int(np.ceil(settings.deep_frame_m / space.cell_m))
+    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in pixel)
+    roomy = half[box] >= wide
+    depth = 0.0
+    for side in sides:
+        rows, columns = np.nonzero(roomy & (region[box] == side))
+        if not len(rows):
+            return False
+        away = np.hypot(rows + box[0].start - pixel[0], columns + box[1].start - pixel[1])
+        depth += float(away.min()) * space.cell_m
+    most = settings.deep_frame_m if opening_m <= settings.leaf_m else settings.frame_m
+    return opening_m < settings.door_width_m and depth <= most
+
+
+def _sides(
+    space: Space, region: NDArray[np.int32], opening: Opening
+) -> tuple[tuple[int, int], NDArray[Any]]:
+    """Labels for the two sides of an opening: its regions, or the two sides of the line across it."""
+    if opening.regions[0] != opening.regions[1]:
+        return opening.regions, region
+    row, column = opening.pixel
+    across = jambs(space.free, opening.pixel, float(space.half_width_m[row, column]) / space.cell_m)
+    if across is None:
+        return (-1, -1), region
+    ahead = np.array([across[0][1] - across[1][1], across[1][0] - across[0][0]], float)
+    reach = 80
+    label = np.zeros_like(region)
+    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in opening.pixel)
+    rows, columns = np.nonzero(region[box] == opening.regions[0])
+    beyond = (rows + box[0].start - row) * ahead[0] + (columns + box[1].start - column) * ahead[1]
+    label[box][rows[beyond > 0], columns[beyond > 0]] = 1
+    label[box][rows[beyond < 0], columns[beyond < 0]] = 2
+    return (1, 2), label
 
 
 def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -347,7 +426,7 @@ def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArra
                 exits[a] == 1
                 and measure.area_m2[a] < settings.bay_share * measure.area_m2[b]
                 and measure.elongation[a] < 1.5
-                and opening.width_m > 1.5 * measure.peak_m[a]
+                and opening.width_m > 1.4 * measure.peak_m[a]
             )
             around = mouths[opening.regions] > 1
             if (overflows or tiny or bay or around) and not touched & {a, b}:
@@ -377,7 +456,8 @@ class Regions:
     def rooms(self, settings: Settings) -> NDArray[np.bool_]:
         """Which regions are rooms; the others are corridors."""
         most = settings.room_elongation
-        longest = np.where(self.exits <= 1, most, np.minimum(most, 2 * self.peak_m))
+        through = np.where(self.openness > 0, settings.mouth_elongation, settings.through_elongation)
+        longest = np.where(self.exits <= 1, most, np.minimum(most, through * self.peak_m))
         return (
             (self.area_m2 >= settings.smallest_room_m2)
             & (self.peak_m >= settings.room_half_width_m)
@@ -407,21 +487,20 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
     from scipy import ndimage
 
     width = region.shape[1]
-    reach = int(np.ceil(settings.near_m / space.cell_m))
-    same = np.arange(region.max() + 1, dtype=np.int32)
+    n = int(region.max()) + 1
     flat, half = region.ravel(), space.half_width_m.ravel()
     sides = []
     for step in (1, width):
         i = np.flatnonzero((flat[:-step] != flat[step:]) & (flat[:-step] > 0) & (flat[step:] > 0))
         sides.append(np.stack([flat[i], flat[i + step], i, i + step]))
     a, b, here, there = np.concatenate(sides, axis=1).astype(np.int64)
-    key = np.minimum(a, b) * len(same) + np.maximum(a, b)
+    key = np.minimum(a, b) * n + np.maximum(a, b)
     order = np.argsort(key, kind="stable")
     if not len(order):
         return []
     pairs, first = np.unique(key[order], return_index=True)
     border = {
-        (int(k // len(same)), int(k % len(same))): np.concatenate([here[rows], there[rows]])
+        (int(k // n), int(k % n)): np.concatenate([here[rows], there[rows]])
         for k, rows in zip(pairs, np.split(order, first[1:]), strict=True)
     }
     found = []
@@ -434,8 +513,55 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
             r, c = rows[stretch == s], columns[stretch == s]
             best = int(np.argmax(half[r * width + c]))
             pixel = int(r[best]), int(c[best])
-            opening = 2 * float(half[r[best] * width + c[best]])
-            near = _near(space.half_width_m, same, region, pixel, pair, reach)
-            is_door = opening < min(settings.door_width_m, 2 * settings.frame_ratio * near)
+            # half a cell less on either side: the wall begins at the edge of its first cell
+            opening = 2 * float(half[r[best] * width + c[best]]) - space.cell_m
+            is_door = _is_door(settings, space, region, pixel, pair, opening, settings.frame_ratio)
             found.append(Opening(pixel, pair, opening, is_door))
     return found
+
+
+def _inner_doors(
+    space: Space, settings: Settings, region: NDArray[np.int32], passes: NDArray[np.int64]
+) -> list[Opening]:
+    """Doors with the same region on both sides: narrow places between two walls, not beside furniture."""
+    from scipy import ndimage
+
+    label, n = ndimage.label(~space.free, structure=_EIGHT)
+    extent = np.zeros(n + 1)
+    for i, (rows, columns) in enumerate(ndimage.find_objects(label), start=1):
+        extent[i] = max(rows.stop - rows.start, columns.stop - columns.start) * space.cell_m
+    found = []
+    for row, column in zip(*(v.tolist() for v in np.divmod(passes, region.shape[1])), strict=True):
+        half = float(space.half_width_m[row, column])
+        number = int(region[row, column])
+        opening = Opening((row, column), (number, number), 2 * half - space.cell_m, True)
+        if opening.width_m < settings.narrowest_m:
+            continue
+        across = jambs(space.free, (row, column), half / space.cell_m)
+        if across is not None and min(extent[label[end]] for end in across) >= settings.wall_m:
+            found.append(opening)
+    return found
+
+
+def jambs(
+    free: NDArray[np.bool_], pixel: tuple[int, int], half: float
+) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    """The two wall cells between which a narrow place lies: the nearest one, and the one across.
+
+    ``half`` is the distance of the first (cells); ``None`` if nothing is across within 2.5 times that.
+    """
+    reach = int(np.ceil(half)) + 1
+    low = [max(0, v - reach) for v in pixel]
+    rows, columns = np.nonzero(~free[low[0] : pixel[0] + reach + 1, low[1] : pixel[1] + reach + 1])
+    if not len(rows):
+        return None
+    offset = np.column_stack([rows + low[0] - pixel[0], columns + low[1] - pixel[1]])
+    v = offset[np.argmin((offset**2).sum(axis=1))]
+    first = (int(pixel[0] + v[0]), int(pixel[1] + v[1]))
+    for step in np.arange(1.0, 2.5 * np.hypot(*v), 0.5):
+        at = np.rint(np.array(pixel) - step * v / np.hypot(*v)).astype(int)
+        if (at < 0).any() or (at >= free.shape).any():
+            return None
+        if not free[tuple(at)]:
+            return first, (int(at[0]), int(at[1]))
+    return None

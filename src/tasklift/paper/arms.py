@@ -70,9 +70,11 @@ SPENT_BEFORE = 300
 LOSS_SIGNAL = -0.5
 
 
-def _ours(name: str, start: Start, meaning: str, **options: int) -> Arm:
+def _ours(name: str, start: Start, meaning: str, *, budget: int = 0, drills: int = 0) -> Arm:
     """An arm with the loss signal, on T at q = .9."""
-    return Arm(name, start, meaning, loss_signal=LOSS_SIGNAL, selection="pseudo-random", **options)
+    return Arm(
+        name, start, meaning, budget=budget, drills=drills, loss_signal=LOSS_SIGNAL, selection="pseudo-random"
+    )
 
 
 ARMS: dict[str, Arm] = {

@@ -157,7 +157,9 @@ def test_a_resumed_run_computes_only_what_is_missing(first, workers):
         with Store.open(path, SPEC) as store:
             run(store, [CELLS[i] for i in sorted(first)], counted, workers=workers)
         with Store.open(path, SPEC) as store:
-            ran = run(store, CELLS, counted, workers=workers)
+            counts = []
+            ran = run(store, CELLS, counted, workers=workers, progress=lambda *args: counts.append(args[:2]))
+            assert counts == [(i, len(CELLS)) for i in range(len(first) + 1, len(CELLS) + 1)]
             assert ran.computed == len(CELLS) - len(first)
             assert sorted(done) == sorted(CELLS)
             one = store.digest()
@@ -380,6 +382,23 @@ def test_damage_is_noticed_never_read(tmp_path, whole):
     path.write_bytes(raw[: len(raw) // 2])
     with pytest.raises(TaskliftError, match="damaged"), Store.read(path) as store:
         list(store.select())
+
+
+def test_pages_that_point_astray_are_noticed(tmp_path, whole):
+    """Twice the same child in the tree of cells would repeat some cells and lose others."""
+    raw = bytearray(whole.read_bytes())
+    with sqlite3.connect(whole) as db:
+        (page,) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'cells'").fetchone()
+        (size,) = db.execute("PRAGMA page_size").fetchone()
+    db.close()
+    start = (page - 1) * size
+    assert raw[start] == 0x05  # an inner page; its cells begin with the number of a child page
+    first, second = (start + int.from_bytes(raw[start + at : start + at + 2]) for at in (12, 14))
+    raw[second : second + 4] = raw[first : first + 4]
+    (tmp_path / "e.sqlite").write_bytes(raw)
+    for opening in (Store.read, lambda path: Store.open(path, SPEC)):
+        with pytest.raises(TaskliftError, match="damaged"):
+            opening(tmp_path / "e.sqlite")
 
 
 def in_a_process(code, folder):

@@ -107,17 +107,13 @@ def test_the_seed_decides_and_matters():
         lambda seed: stats.mean_band(values, seed=seed).low[0],
         lambda seed: stats.probability_of_improvement(values[:, 0], values[:, 1], seed=seed).low,
         lambda seed: stats.sign_flip_test(values[:, 0], seed=seed),
-        lambda seed: (
-            stats.time_interval(stats.Times(abs(values[:, 0]), values[:, 1] > 0), horizon=2, seed=seed).low
-        ),
+        lambda seed: stats.time_interval(stats.Times(abs(values[:, 0]), values[:, 1] > 0), horizon=2, seed=seed).low,
     ):
         assert function(1) == function(1)
         assert len({function(seed) for seed in range(8)}) > 1
 
 
-@pytest.mark.parametrize(
-    ("method", "statistic"), [("percentile", np.mean), ("bca", np.mean), ("bca", stats.iqm)]
-)
+@pytest.mark.parametrize(("method", "statistic"), [("percentile", np.mean), ("bca", np.mean), ("bca", stats.iqm)])
 def test_intervals_cover_as_often_as_they_say(method, statistic):
     """Skewed seeds on 3 maps, 400 studies: 92 % (small samples cost a little) to 97.5 %, at p = 1e-3."""
     rng = np.random.default_rng(11)
@@ -170,9 +166,7 @@ def test_mean_band_is_the_bootstrap_of_every_column(method):
     band = stats.mean_band(values, strata=strata, seed=5, method=method, resamples=3000)
     for t in range(4):
         one = stats.bootstrap(np.mean, values[:, t], strata=strata, seed=5, method=method, resamples=3000)
-        assert (band.estimate[t], band.low[t], band.high[t]) == pytest.approx(
-            (one.estimate, one.low, one.high)
-        )
+        assert (band.estimate[t], band.low[t], band.high[t]) == pytest.approx((one.estimate, one.low, one.high))
 
 
 def test_degenerate_samples_give_their_value():
@@ -233,6 +227,7 @@ def test_sign_flips_agree_with_scipy():
     ).pvalue  # fmt: skip
     assert stats.sign_flip_test(values, flips=20_000) == pytest.approx(theirs, abs=0.01)
     assert stats.sign_flip_test(np.zeros(5)) == 1.0
+    assert stats.sign_flip_test(np.arange(50) + 100.0, flips=999) == 1 / 1000  # never zero
 
 
 def test_sign_flip_p_values_are_uniform_under_the_null():
@@ -247,9 +242,7 @@ def test_probability_of_improvement_is_mann_whitney():
     u = scipy.stats.mannwhitneyu(b, a).statistic / 400
     assert stats.probability_of_improvement(a, b, better="less").estimate == pytest.approx(u)
     assert stats.probability_of_improvement(a, b, better="greater").estimate == pytest.approx(1 - u)
-    two_maps = stats.probability_of_improvement(
-        np.r_[a, a - 100], np.r_[b, b + 100], strata=[0] * 20 + [1] * 20
-    )
+    two_maps = stats.probability_of_improvement(np.r_[a, a - 100], np.r_[b, b + 100], strata=[0] * 20 + [1] * 20)
     assert two_maps.estimate == pytest.approx((u + 1) / 2)
     assert two_maps.low < two_maps.estimate < two_maps.high
 

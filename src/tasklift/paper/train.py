@@ -146,8 +146,8 @@ def verdict_lines(samples: dict[str, Sample], best: str, folder: Path) -> list[s
     )
     if float(np.mean([s.success.mean() for s in samples.values()])) < 0.1:
         lines.append(
-            f"hardly any trial ended within {direct.limit} steps: this building is too large for the limit; "
-            "give --limit a larger number"
+            f"hardly any trial was solved within {direct.limit} steps: give --limit a larger number or the team more "
+            "weapon robots (every door where one waits alone needs another)"
         )
     return lines
 

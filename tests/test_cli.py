@@ -86,6 +86,15 @@ def test_train_leaves_policies_rows_and_a_report(tasklift, building):
     code, out, _ = tasklift("runs", "show", "run")
     assert code == 0
     assert "copy+prior" in out
+    code, out, _ = tasklift("runs", "list", ".")
+    assert code == 0
+    assert "training on" in out
+    code, out, _ = tasklift("runs", "compare", "run", "--arms", "copy", "direct")
+    assert code == 0
+    assert "losses" in out
+    code, out, _ = tasklift("runs", "export", "run", "-o", "rows.parquet")
+    assert code == 0
+    assert Path("rows.parquet").stat().st_size > 0
 
 
 def broken(text):

@@ -206,6 +206,28 @@ def runs_show(run: Path) -> None:
     _print(*show(run))
 
 
+@runs.command("compare")
+@click.argument("first", type=click.Path(path_type=Path))
+@click.argument("second", type=click.Path(path_type=Path), required=False)
+@click.option("--arms", nargs=2, help="Two arms of FIRST: paired differences of every summary.")
+def runs_compare(first: Path, second: Path | None, arms: tuple[str, str] | None) -> None:
+    """Compare two experiments, or two arms of one."""
+    from tasklift.lab.runs import compare
+
+    _print(*compare(first, second, arms=arms))
+
+
+@runs.command("export")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="A .csv or .parquet file.")
+@click.option("--what", type=click.Choice(["trials", "cells"]), default="trials", show_default=True)
+def runs_export(run: Path, out: Path, what: str) -> None:
+    """Write an experiment's rows to a file."""
+    from tasklift.lab.runs import export
+
+    click.echo(f"{export(run, out, what=what)} rows: {out}")
+
+
 def _print(*tables: Any) -> None:
     from rich.console import Console
     from rich.table import Table

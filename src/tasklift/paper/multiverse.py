@@ -52,7 +52,9 @@ class Option:
     def label(self, level: int) -> str:
         """Return a level as readers see it."""
         value = self.levels[level]
-        return ("off", "on")[value] if isinstance(value, bool) else str(value)
+        if isinstance(value, bool):
+            return "on" if value else "off"
+        return value if isinstance(value, str) else f"{value:g}"
 
 
 #: All named alternatives. Additions of ours (drill, loss signal) are no readings of the paper and stay off.
@@ -84,8 +86,8 @@ _RULES: dict[Level, dict[str, Any]] = {
     "exploitation": {"selection": "exploitation"},
 }
 
-#: What is trained under every reading.
-ARMS = ("direct", "copy", "prior", "copy+prior")
+#: What is trained under every reading; the main study has more controls (`prior`, `direct+budget`).
+ARMS = ("direct", *INDIRECT)
 #: Besides, where the rule is exploration: what C10 compares it with.
 EXPLOITING = tuple(f"{arm}, exploitation" for arm in INDIRECT)
 #: Per trial, the store keeps what the claims read; the rest of a cell can be computed again.
@@ -236,15 +238,11 @@ def _coverage(weights: Floats, steps: NDArray[np.int64]) -> dict[str, float]:
 
 # ---------------------------------------------------------------- judging the claims under every reading
 
-AGAINST_PRIOR = "copy+prior − prior"
-_PAIRED = ("C3", "C4", "C5", "C6", "C7", "C8", "C12")
-_ALONE = ("C9a", "C9b", "C9c", "C10", "C11")
-#: What is judged: claim and arm. V's and direct learning's own, then the indirect arms against direct, then
-#: what V adds to the prior.
+_OF_TRANSFER = ("C3", "C4", "C5", "C6", "C7", "C8", "C9a", "C9b", "C9c", "C10", "C11", "C12")
+#: What is judged: claim and arm. V's and direct learning's own, then the indirect arms, against direct.
 LINES: tuple[tuple[str, str], ...] = (
     ("C1", "V"), ("C2", "V"), ("C5b", "direct"), ("C7b", "direct"),
-    *((claim, arm) for arm in INDIRECT for claim in (*_PAIRED[:-1], *_ALONE, "C12")),
-    *((claim, AGAINST_PRIOR) for claim in _PAIRED),
+    *((claim, arm) for arm in INDIRECT for claim in _OF_TRANSFER),
 )  # fmt: skip
 #: The claims that the paper's story needs together.
 STORY = ("C3", "C4", "C6", "C7", "C8")
@@ -304,7 +302,7 @@ def judge(store: Store, *, resamples: int = 1000, progress: Any = None) -> Judge
         name = f"r{i:04d}"
         samples, coverage = _samples(store, name, settings)
         for finding in [*_coverage_findings(*coverage, name), *evaluate(samples, name, resamples=resamples)]:
-            line = (finding.claim, _arm(finding))
+            line = (finding.claim, finding.contrast.split(" − ")[0])
             if line in LINES:
                 verdict[i, LINES.index(line)] = _CODES[finding.verdict]
                 effect[i, LINES.index(line)] = _standardised(finding)
@@ -380,14 +378,6 @@ def _map_intervals(values: Floats, maps: NDArray[np.str_], confidence: float) ->
     ]  # fmt: skip
 
 
-def _arm(finding: Finding) -> str:
-    """Return the line that a finding belongs to: the arm, unless it is held against another control."""
-    first, _, control = finding.contrast.partition(" − ")
-    if finding.claim in ("C10", "C11"):
-        return first
-    return first if control in ("", "direct") else finding.contrast
-
-
 def _standardised(finding: Finding) -> float:
     """Return the effect in standard errors, positive on the claim's side; nan where that has no meaning."""
     interval = finding.interval
@@ -450,7 +440,8 @@ def main_effects(outcome: Floats, levels: NDArray[np.int64], *, resamples: int =
             continue
         y, x, weights = outcome[there, line], member[there], counts[:, there]
         estimate[line] = _differences(np.ones((1, y.size)), x, y)[0]
-        low[line], high[line] = np.nanquantile(_differences(weights, x, y), [0.025, 0.975], axis=0)
+        met = x.any(axis=0)
+        low[line, met], high[line, met] = np.nanquantile(_differences(weights, x[:, met], y), [0.025, 0.975], axis=0)
         p[line] = _p_values(x, y, estimate[line])
     tested = np.isfinite(p)
     if tested.any():

@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 ARGS   ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow bench docs format clean
+.PHONY: help demo chromium test test-slow bench docs format clean
 
 help:  ## say what each target does
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -22,7 +22,12 @@ $(STAMP): pyproject.toml constraints.txt $(VENV)/bin/python
 demo: $(STAMP)  ## set up, reproduce the paper's experiment, leave reproduction/report.html
 	$(BIN)/tasklift reproduce --out reproduction $(ARGS)
 
-test: $(STAMP)  ## everything CI runs: lint, types, import contracts, tests
+chromium:  ## install the browser that the replay page is tested in (Debian and its kin, as root)
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null \
+	|| { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq && apt-get install -yqq chromium >/dev/null; } \
+	|| echo "no Chromium, and it cannot be installed here: the tests of the replay page will be skipped"
+
+test: $(STAMP) chromium  ## everything CI runs: lint, types, import contracts, tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports

@@ -117,7 +117,7 @@ def test_trials_of_an_experiment_are_found_by_map_seed_arm_and_number(experiment
         with pytest.raises(TaskliftError, match=message):
             traces(**options)
     (experiment / "building.json").unlink()
-    with pytest.raises(TaskliftError, match="put its .json file back"):
+    with pytest.raises(TaskliftError, match=r"put its \.json file back"):
         traces()
 
 
@@ -251,7 +251,7 @@ def test_mistakes_are_told_in_one_line(building_file, tmp_path):
 def test_the_server_answers_on_its_own_address_only_and_ends_with_ctrl_c(building_file):
     command = (
         "from tasklift.cli import main; import sys; "
-        f"sys.argv[1:] = ['watch', {str(building_file)!r}, '--arms', 'direct', '--trial', '1', '--limit', '20', '--no-open']; "
+        f"sys.argv[1:] = ['watch', {str(building_file)!r}, '--arms', 'direct', '--trial', '1', '--no-open']; "
         "main()"
     )
     process = subprocess.Popen(

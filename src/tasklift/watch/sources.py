@@ -16,7 +16,7 @@ from tasklift.building.graph import Building
 from tasklift.building.mission import Kind, Mission, Reading
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, Store
-from tasklift.learn import BUDGET_STAGE, GREEDY_STAGE, TARGET_STAGE, Reinforcement, reinforce
+from tasklift.learn import GREEDY_STAGE, TARGET_STAGE, Reinforcement
 from tasklift.paper.arms import ARMS, arm_named
 from tasklift.paper.study import Study
 from tasklift.policy import Policy
@@ -86,15 +86,7 @@ def _trial(study: Study, cell: Cell, trial: int) -> Trace:
     if trial < 1:
         raise TaskliftError(f"watch: trials count from 1, found {trial}")
     mission, arm = study.mission(cell.reading, cell.map), arm_named(cell.arm)
-    rules = arm.reinforcement(study.reinforcement)
-    policy = study.start(cell)
-    if arm.budget:
-        spent = study.repeats * policy.task.shape[1]
-        policy = reinforce(
-            mission, policy, trials=spent, seed=cell.seed, stage=BUDGET_STAGE, reinforcement=rules
-        ).policy
-    if arm.learns and trial > 1:
-        policy = reinforce(mission, policy, trials=trial - 1, seed=cell.seed, reinforcement=rules).policy
+    rules, policy = arm.reinforcement(study.reinforcement), study.before(cell, trial)
     return mission.simulator.trace(policy, seed=cell.seed, trial=trial - 1, reinforcement=rules, learn=arm.learns)
 
 

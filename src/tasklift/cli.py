@@ -64,6 +64,12 @@ def _team(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple[in
     return int(parts[0]), int(parts[1])
 
 
+def _arms(ctx: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
+    from tasklift.paper.arms import ARMS
+
+    return tuple(ARMS) if text is None else tuple(part.strip() for part in text.split(";"))
+
+
 _positive = click.IntRange(min=1)
 
 
@@ -82,6 +88,7 @@ def _experiment_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--maps", type=_positive, default=6, show_default=True, help="Generated buildings.")
 @click.option("--seeds", type=_positive, default=5, show_default=True, help="Seeds per building.")
 @click.option("--trials", type=_positive, default=100, show_default=True, help="Trials on the full task.")
+@click.option("--arms", callback=_arms, help="Arms to run, separated by semicolons; default: all of them.")
 @click.option(
     "--survey",
     type=click.IntRange(min=2),

@@ -8,7 +8,7 @@ the whole interval lies on the claim's side, ``does not hold`` that it lies on t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,9 @@ RIVALS = ("expert", "direct", "direct+budget", "copy", "prior", "copy+prior")
 LAST, WINDOW = 20, 10
 
 
+_TRIED = ("greedy_steps", "greedy_losses", "unseen_steps", "unseen_losses")
+
+
 @dataclass(frozen=True, eq=False)
 class Sample:
     """What one arm did under one reading, a row per (map, seed), always in the same order; ``n`` rows, ``T`` trials.
@@ -85,6 +88,8 @@ class Sample:
         ``(n,)``: of the learned policy, always taking the heaviest output.
     move_weights
         ``(n, 3, 5, 2)``: mean weights by nWPN, FTR and MV.
+    unseen_steps, unseen_losses
+        ``(n,)``: of the same use on maps on which nothing was learned; empty where that was not tried.
     """
 
     maps: NDArray[np.str_]
@@ -98,6 +103,8 @@ class Sample:
     greedy_steps: Floats
     greedy_losses: Floats
     move_weights: Floats
+    unseen_steps: Floats = field(default_factory=lambda: np.empty(0))
+    unseen_losses: Floats = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of(cls, store: Store, reading: str, arm: str) -> Sample:
@@ -110,8 +117,7 @@ class Sample:
             maps=curves["steps"].maps,
             limit=settings["limit"],
             n_robots=sum(n for *_, n in settings["team"]),
-            greedy_steps=np.array([r.summary["greedy_steps"] for r in results]),
-            greedy_losses=np.array([r.summary["greedy_losses"] for r in results]),
+            **{name: np.array([r.summary[name] for r in results]) for name in _TRIED if name in results[0].summary},
             move_weights=np.stack([r.attachments["move_weights"] for r in results]),
             **{name: curve.values for name, curve in curves.items()},
         )

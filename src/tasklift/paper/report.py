@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from tasklift.lab import FILE_NAME, Cell, Store
 from tasklift.lab.charts import Series
 from tasklift.lab.report import Report
 from tasklift.paper.arms import ARMS
-from tasklift.paper.claims import CLAIMS, Finding, Sample, holm_adjusted
+from tasklift.paper.claims import CLAIMS, LAST, Finding, Sample, holm_adjusted
 from tasklift.paper.study import Study
 
 #: Arms in the curves, in the order of their colours.
@@ -73,28 +73,22 @@ def write_claims(findings: Sequence[Finding], path: Path) -> None:
     write_atomically(path, text.getvalue())
 
 
-def arm_rows(samples: Mapping[str, Sample]) -> list[list[Any]]:
-    """Return one row per arm: steps early and late, losses, trials kept, out of time, greedy use."""
-    rows: list[list[Any]] = []
-    for name, sample in samples.items():
-        kept = 100 * (sample.robots_left == sample.n_robots).mean()
-        values = (
-            sample.steps[:, :10].mean(),
-            sample.steps[:, -20:].mean(),
-            sample.losses.mean(),
-            kept,
-            100 * (1 - sample.success.mean()),
-            sample.greedy_steps.mean(),
-            sample.greedy_losses.mean(),
-        )
-        rows.append([name, *(round(float(value), 1) for value in values)])
-    return rows
-
-
-ARM_HEADERS = (
-    "arm", "steps, first 10 trials", "steps, last 20", "robots lost a trial", "all kept (% of trials)",
-    "out of time (%)", "greedy: steps", "greedy: lost a trial",
-)  # fmt: skip
+def arm_table(samples: Mapping[str, Sample]) -> tuple[list[str], list[list[Any]]]:
+    """Return headers and one row per arm: steps early and late, losses, trials kept, out of time, greedy use."""
+    columns: dict[str, Callable[[Sample], Any]] = {
+        "steps, first 10 trials": lambda s: s.steps[:, :10].mean(),
+        "steps, last 20": lambda s: s.steps[:, -LAST:].mean(),
+        "robots lost a trial": lambda s: s.losses.mean(),
+        "all kept (% of trials)": lambda s: 100 * (s.robots_left == s.n_robots).mean(),
+        "out of time (%)": lambda s: 100 * (1 - s.success.mean()),
+        "greedy: steps": lambda s: s.greedy_steps.mean(),
+        "greedy: lost a trial": lambda s: s.greedy_losses.mean(),
+    }
+    if all(sample.unseen_steps.size for sample in samples.values()):
+        columns["greedy on unseen maps: steps"] = lambda s: s.unseen_steps.mean()
+        columns["greedy on unseen maps: lost a trial"] = lambda s: s.unseen_losses.mean()
+    rows = [[arm, *(round(float(of(sample)), 1) for of in columns.values())] for arm, sample in samples.items()]
+    return ["arm", *columns], rows
 
 
 def ledger_rows(store: Store, reading: str) -> list[list[Any]]:

@@ -10,6 +10,7 @@ import numpy as np
 from tasklift.building.generate import generate
 from tasklift.building.graph import INTERSECTION, Building
 from tasklift.building.mission import PRESETS, hostile_candidates
+from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.report import Report
 from tasklift.lab.runs import export
@@ -20,12 +21,17 @@ from tasklift.paper.study import Study
 from tasklift.paper.survey import Survey, survey
 
 
+#: The seed of the first map on which nothing is learned; a study's own maps begin at 0.
+FIRST_UNSEEN = 5000
+
+
 def reproduce(
     *,
     out: Path,
     maps: int = 6,
     seeds: int = 5,
     trials: int = 100,
+    arms: tuple[str, ...] = tuple(ARMS),
     survey: int = 60,
     engine: str = "threads",
     workers: int | None = None,
@@ -39,7 +45,9 @@ def reproduce(
     out
         Folder; one that holds this very experiment is resumed, any other content is refused.
     maps, seeds, trials
-        Generated buildings, seeds on each, trials on the full task.
+        Generated buildings, seeds on each, trials on the full task. Policies are also tried on as many other maps.
+    arms
+        Names of :data:`tasklift.paper.arms.ARMS`; ``direct``, ``copy`` and ``copy+prior`` are needed.
     survey
         Generated buildings for Figure 3 (claims C1, C2).
     engine, workers, address
@@ -52,7 +60,17 @@ def reproduce(
     TaskliftError
         Before anything is overwritten.
     """
-    study = Study({f"map {i}": generate(seed=i) for i in range(maps)}, PRESETS, tuple(ARMS), seeds=seeds, trials=trials)
+    study = Study(
+        {f"map {i}": generate(seed=i) for i in range(maps)},
+        PRESETS,
+        arms,
+        seeds=seeds,
+        trials=trials,
+        unseen={f"unseen {i}": generate(seed=FIRST_UNSEEN + i) for i in range(maps)},
+    )
+    for name in ("direct", *report.GLANCED):
+        if name not in arms:
+            raise TaskliftError(f"arms: the claims need {name!r}; found {'; '.join(arms)}")
     folder = report.prepare_folder(out)
     with Store.open(folder / FILE_NAME, study.spec("the paper's experiment")) as store:
         run(
@@ -78,6 +96,7 @@ def reproduce(
         drawn = _draw(folder / "figures", study, store, samples, surveys["scattered"])
         say(3, 4, "writing the report")
         command = f"tasklift reproduce --maps {maps} --seeds {seeds} --trials {trials} --survey {survey} --out {out}"
+        command += "" if arms == tuple(ARMS) else f" --arms '{';'.join(arms)}'"
         path = folder / "report.html"
         _report(study, store, samples, surveys, findings, drawn, command).write(path)
         say(4, 4, "done")
@@ -177,7 +196,7 @@ def _report(
     page.section("The arms")
     page.table(["arm", "what it is"], [[name, ARMS[name].meaning] for name in study.arms])
     for reading, arms in samples.items():
-        page.table(report.ARM_HEADERS, report.arm_rows(arms), caption=f"Preset **{reading}**, means over all cells")
+        page.table(*report.arm_table(arms), caption=f"Preset **{reading}**, means over all cells")
     page.section("The claims")
     page.paragraph(
         "Intervals are 95 % (BCa bootstrap over seeds within maps; C2: 90 %, two one-sided tests). A verdict follows "

@@ -22,8 +22,9 @@ from tasklift.paper.arms import arm_named, learn_source, start_policy
 from tasklift.policy import Policy
 from tasklift.task import Task
 
-#: The policy that a cell ends with is used so often without learning, always its heaviest output.
-GREEDY_TRIALS = 10
+#: The policy that a cell ends with is used so often without learning, always its heaviest output: on its own map,
+#: and on one that it has never seen.
+GREEDY_TRIALS = 5
 
 _latest = threading.local()  # V of the reading, map and seed that this thread works on: the arms share it
 
@@ -50,6 +51,8 @@ class Study:
         As in :class:`tasklift.building.Mission`.
     reinforcement
         The learner's settings.
+    unseen
+        Further buildings, on which nothing is learned: policies are tried there greedily, seed by seed in turn.
     """
 
     buildings: Mapping[str, Building]
@@ -63,6 +66,7 @@ class Study:
     weapons_needed: int = 2
     limit: int = 600
     reinforcement: Reinforcement = field(default_factory=Reinforcement)
+    unseen: Mapping[str, Building] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("seeds", "trials", "repeats"):
@@ -72,7 +76,7 @@ class Study:
         for name in self.arms:
             arm_named(name)
         for reading in self.readings:
-            for building in self.buildings:
+            for building in (*self.buildings, *self.unseen):
                 self.mission(reading, building)  # refuses before anything is trained what cannot work
 
     def __getstate__(self) -> dict[str, Any]:
@@ -88,7 +92,7 @@ class Study:
         key = (reading, building)
         if key not in self._missions:
             self._missions[key] = Mission(
-                self.buildings[building],
+                {**self.buildings, **self.unseen}[building],
                 self.team,
                 hostiles=self.hostiles,
                 reading=self.readings[reading],
@@ -119,6 +123,7 @@ class Study:
                 "limit": self.limit,
                 "reinforcement": dataclasses.asdict(self.reinforcement),
                 "greedy_trials": GREEDY_TRIALS,
+                "unseen": {key: building.content_id for key, building in self.unseen.items()},
             },
         )
 
@@ -129,8 +134,19 @@ class Study:
     def work(self, cell: Cell) -> CellResult:
         """Train one arm on one map with one seed under one reading, then use what it learned greedily."""
         policy, stages = self._train(cell)
-        mission = self.mission(cell.reading, cell.map)
-        greedy = mission.run(
+        columns = {stage: _columns(outcomes) for stage, outcomes in stages.items()}
+        columns["greedy"] = _columns(self._greedy(cell, cell.map, policy))
+        if self.unseen:
+            place = list(self.unseen)[cell.seed % len(self.unseen)]
+            columns["unseen"] = _columns(self._greedy(cell, place, policy))
+        attachments: dict[str, Any] = {"move_weights": move_weights(policy)}
+        if cell.arm == "copy":
+            attachments["ca_weights"] = ca_weights(self._source(cell).policy)
+        return CellResult(stages=columns, summary=_summary(columns), attachments=attachments)
+
+    def _greedy(self, cell: Cell, building: str, policy: Policy) -> SearchOutcomes:
+        """Use a policy without learning, always its heaviest output."""
+        return self.mission(cell.reading, building).run(
             policy.task,
             policy.weights.copy(),
             trials=GREEDY_TRIALS,
@@ -138,15 +154,6 @@ class Study:
             stage=GREEDY_STAGE,
             reinforcement=Reinforcement(selection="exploitation"),
             learn=False,
-        )
-        columns = {stage: _columns(outcomes) for stage, outcomes in stages.items()}
-        attachments: dict[str, Any] = {"move_weights": move_weights(policy)}
-        if cell.arm == "copy":
-            attachments["ca_weights"] = ca_weights(self._source(cell).policy)
-        return CellResult(
-            stages=columns | {"greedy": _columns(greedy)},
-            summary=_summary(stages["target"], greedy),
-            attachments=attachments,
         )
 
     def learned(self, cell: Cell) -> Policy:
@@ -239,15 +246,18 @@ def _columns(outcomes: SearchOutcomes) -> dict[str, NDArray[Any]]:
     }
 
 
-def _summary(target: SearchOutcomes, greedy: SearchOutcomes) -> dict[str, Any]:
-    return {
-        "steps": float(target.steps.mean()),
-        "losses": int(target.losses.sum()),
-        "out_of_time": float(1.0 - target.success.mean()),
-        "greedy_steps": float(greedy.steps.mean()),
-        "greedy_losses": float(greedy.losses.mean()),
-        "greedy_success": float(greedy.success.mean()),
+def _summary(columns: Mapping[str, Mapping[str, NDArray[Any]]]) -> dict[str, Any]:
+    target = columns["target"]
+    summary = {
+        "steps": float(target["steps"].mean()),
+        "losses": int(target["losses"].sum()),
+        "out_of_time": float(1.0 - target["success"].mean()),
     }
+    for stage in ("greedy", "unseen"):
+        if stage in columns:
+            for name in ("steps", "losses", "success"):
+                summary[f"{stage}_{name}"] = float(columns[stage][name].mean())
+    return summary
 
 
 def move_weights(policy: Policy) -> NDArray[np.float64]:

@@ -168,7 +168,7 @@ def _report(
     page.figure(picture, "The building as a plan and as its graph.")
     page.section("The arms")
     page.table(["arm", "what it is"], [[name, ARMS[name].meaning] for name in samples])
-    page.table(report.ARM_HEADERS, report.arm_rows(samples), caption=f"Preset **{preset}**")
+    page.table(*report.arm_table(samples), caption=f"Preset **{preset}**")
     page.section("Learning curves")
     report.add_curves(page, samples, preset)
     page.section("Stop or move, by the feature faced")

@@ -26,6 +26,7 @@ from tasklift.plans.segment import (
 )
 
 CORNER_DEGREES = 65.0
+DOOR_TOLERANCE_M = 0.75
 BEND_TOLERANCE_M = 0.6
 
 
@@ -50,13 +51,12 @@ def extract(
     settings = settings or Settings()
     say = progress or (lambda _: None)
     say("cleaning the picture")
-    pixel = None
-    if seed_point is not None:
-        row, column = plan.to_pixels(np.array([seed_point]))[0].tolist()
-        pixel = (row, column)
-    space = clean(plan, settings, pixel)
+    points = plan.seeds_m if seed_point is None else np.array([seed_point], float)
+    space = clean(plan, settings, None if points is None else plan.to_pixels(points))
     say("dividing at the narrow places")
     region, openings, measure, is_room = divide(space, settings)
+    if plan.doors_m is not None:
+        openings = _declared_doors(plan, space, region, openings)
     region, openings, left_out = _without_closets(region, openings, measure, is_room, settings)
     say("tracing the corridors")
     graph = _draw(space, settings, region, openings, is_room)
@@ -64,6 +64,36 @@ def extract(
     _no_parallels(graph)
     say("building the graph")
     return _to_building(plan, space, graph, region, measure, start, left_out)
+
+
+def _declared_doors(plan: Plan, space: Space, region: NDArray[np.int32], openings: list[Opening]) -> list[Opening]:
+    """Exactly the doors that the plan declares are doors; each lies where the plan has it."""
+    doors = plan.doors_m
+    assert doors is not None
+    taken: set[int] = set()
+    middles = space.to_cells(plan.to_pixels(doors.mean(axis=1)))
+    for opening in openings:
+        opening.is_door = False
+    for (start, end), middle in zip(doors, middles, strict=True):
+        away = [
+            np.hypot(*(middle - o.pixel)) * space.cell_m if i not in taken else np.inf for i, o in enumerate(openings)
+        ]
+        row, column = (int(v) for v in np.rint(middle))
+        inside = 0 <= row < region.shape[0] and 0 <= column < region.shape[1] and region[row, column] > 0
+        width = float(np.hypot(*(end - start)))
+        best = int(np.argmin(away)) if away else -1
+        if best >= 0 and away[best] <= max(DOOR_TOLERANCE_M, width / 2):
+            taken.add(best)
+            pixel = (row, column) if inside else openings[best].pixel
+            openings[best] = Opening(pixel, openings[best].regions, width, True)
+        elif inside:
+            number = int(region[row, column])
+            openings.append(Opening((row, column), (number, number), width, True))
+            taken.add(len(openings) - 1)
+        else:
+            x, y = (start + end) / 2
+            space.doubts.append(f"the door at ({x:.1f}, {y:.1f}) m does not lie on the floor; it was left out")
+    return openings
 
 
 def _without_closets(
@@ -99,7 +129,7 @@ def _draw(
         if not opening.is_door and not is_room[a] and not is_room[b]:
             root[root == max(a, b)] = min(a, b)
     region = root[region]
-    ties = []
+    ties: list[tuple[Opening, list[tuple[int, tuple[int, int]]]]] = []
     barred = np.zeros(region.shape, bool)
     for opening in openings:
         a, b = (int(root[r]) for r in opening.regions)
@@ -107,9 +137,9 @@ def _draw(
             ties.append((opening, [(a, opening.pixel), (b, opening.pixel)]))
         elif opening.is_door and not is_room[a]:
             # a corridor leads around to the door's other side: bar it, so that the skeleton ends on either side
-            sides = _bar(barred, space, opening)
-            if sides is not None:
-                ties.append((opening, [(a, side) for side in sides]))
+            beside = _bar(barred, space, opening)
+            if beside is not None:
+                ties.append((opening, [(a, side) for side in beside]))
     region[barred] = 0
 
     whole = PathGraph()
@@ -136,9 +166,7 @@ def _draw(
     return whole
 
 
-def _bar(
-    barred: NDArray[np.bool_], space: Space, opening: Opening
-) -> tuple[tuple[int, int], tuple[int, int]] | None:
+def _bar(barred: NDArray[np.bool_], space: Space, opening: Opening) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """Draw a bar across a door; returns a cell on either side of it, or ``None`` if that does not work out."""
     ends = jambs(space.free, opening.pixel, opening.width_m / 2 / space.cell_m)
     if ends is None:
@@ -152,7 +180,7 @@ def _bar(
             return None
         sides.append((row, column))
     for row, column in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
-        barred[tuple((line + (row, column)).T)] = True
+        barred[tuple((line + np.array([row, column])).T)] = True
     return sides[0], sides[1]
 
 
@@ -422,9 +450,7 @@ def _to_building(
     return building, doubts
 
 
-def choose_start(
-    name: str, kind: NDArray[np.int8], position: Points, start: tuple[float, float] | int | None
-) -> int:
+def choose_start(name: str, kind: NDArray[np.int8], position: Points, start: tuple[float, float] | int | None) -> int:
     """The node where the robots begin: the one asked for, or the room nearest to a point.
 
     Without a point it is the bottom centre, as in the paper's Figure 3. Without rooms any node serves.

@@ -38,7 +38,9 @@ def rasterise(building: Building, resolution_m: float = 0.05) -> Plan:
     from scipy import ndimage
 
     if not isinstance(resolution_m, int | float) or not 0.01 <= resolution_m <= 0.5:
-        raise TaskliftError(f"{building.name}: expected a resolution of 0.01 to 0.5 m per pixel, found {resolution_m!r}")
+        raise TaskliftError(
+            f"{building.name}: expected a resolution of 0.01 to 0.5 m per pixel, found {resolution_m!r}"
+        )
     floor = _floor(building)
     low = np.floor((np.array(floor.bounds[:2]) - 1.0) / resolution_m) * resolution_m
     width, height = np.ceil((np.array(floor.bounds[2:]) + 1.0 - low) / resolution_m).astype(int).tolist()

@@ -49,6 +49,11 @@ class Plan:
         ``(x, y, yaw)`` of the lower left corner of the picture (m, m, rad).
     doubts
         What the reader is not sure of, a sentence each.
+    doors_m
+        ``float64 (K, 2, 2)``: the two ends of every door (m), where the file tells; ``None`` where they have to
+        be found.
+    seeds_m
+        ``float64 (n, 2)``: points (m) that lie in the building, or ``None``.
     """
 
     name: str
@@ -58,6 +63,8 @@ class Plan:
     resolution_m: float
     origin: tuple[float, float, float]
     doubts: tuple[str, ...] = ()
+    doors_m: NDArray[np.float64] | None = None
+    seeds_m: NDArray[np.float64] | None = None
 
     def to_world(self, rows: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Metres ``(n, 2)``, x right and y up, of points given in pixels (row 0 is the picture's top edge)."""
@@ -128,7 +135,7 @@ def read_ros(
 
 
 def _classify(
-    value: NDArray[np.float32],
+    value: NDArray[np.floating],
     alpha: NDArray[np.float32] | None,
     negate: bool,
     occupied: float,
@@ -159,8 +166,7 @@ def _find_image(path: Path, image: Any, allow_outside: bool) -> Path:
         inside = target.is_relative_to(folder)
         if not inside and not allow_outside:
             raise TaskliftError(
-                f"{path}: image {image!r:.200} leaves the folder of the YAML file; "
-                "pass --allow-outside if you trust it"
+                f"{path}: image {image!r:.200} leaves the folder of the YAML file; pass --allow-outside if you trust it"
             )
         if target.is_file():
             return target
@@ -218,7 +224,7 @@ def _read_pgm(path: Path, data: bytes) -> NDArray[np.float32]:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                values = np.fromstring(body, np.int64, sep=" ")  # type: ignore[call-overload]
+                values = np.fromstring(body, np.int64, sep=" ")
             except (DeprecationWarning, ValueError) as error:
                 raise TaskliftError(f"{path}: a P2 picture holds whole numbers only, found other text") from error
     if len(values) < n:
@@ -246,9 +252,7 @@ def _read_png(path: Path, data: bytes) -> tuple[NDArray[np.float32], NDArray[np.
     except TaskliftError:
         raise
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
-        raise TaskliftError(
-            f"{path}: more pixels than the limit of {LARGEST_PIXELS:,}; make it coarser"
-        ) from error
+        raise TaskliftError(f"{path}: more pixels than the limit of {LARGEST_PIXELS:,}; make it coarser") from error
     except Exception as error:  # Pillow's decoders raise all sorts on damaged files
         raise TaskliftError(f"{path}: damaged or cut short PNG ({error!s:.100})") from error
     mean = pixels[..., :3].mean(axis=2, dtype=np.float32)
@@ -264,9 +268,7 @@ def _show(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "…"
 
 
-def _number(
-    where: str, fields: Mapping[str, Any], key: str, most: float, above: float | None = None
-) -> float:
+def _number(where: str, fields: Mapping[str, Any], key: str, most: float, above: float | None = None) -> float:
     if key not in fields:
         raise TaskliftError(f"{where}: field {key!r} is missing")
     value = fields[key]

@@ -16,6 +16,7 @@ from tasklift.errors import TaskliftError
 from tasklift.plans.ros import Plan
 
 _EIGHT = np.ones((3, 3), bool)
+DOOR_RULES = ("relative", "absolute")
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,10 @@ class Space:
         """Rows and columns of the plan, in its pixels, of points ``(n, 2)`` given in cells."""
         return (np.asarray(points, float) + 0.5 + self.corner) * self.factor
 
+    def to_cells(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Cells of points ``(n, 2)`` given in the plan's pixels; undoes :meth:`to_plan`."""
+        return np.asarray(points, float) / self.factor - self.corner - 0.5
+
 
 @dataclass(eq=False)
 class Opening:
@@ -106,13 +111,15 @@ class Opening:
     is_door: bool
 
 
-def clean(plan: Plan, settings: Settings, seed_pixel: tuple[float, float] | None = None) -> Space:
+def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = None) -> Space:
     """Return the free space of the building in ``plan``, without noise, beams, furniture, and the outdoors.
+
+    ``seeds`` are points in it, rows and columns ``(n, 2)`` of the plan's pixels.
 
     Raises
     ------
     TaskliftError
-        If the plan holds no free space, or the seed point is not on any.
+        If the plan holds no free space, or none of the seeds is on any.
     """
     from scipy import ndimage
 
@@ -132,8 +139,8 @@ def clean(plan: Plan, settings: Settings, seed_pixel: tuple[float, float] | None
             f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right?"
         )
     opened = ndimage.distance_transform_edt(~core) <= radius
-    seed = None if seed_pixel is None else tuple(int(v / factor) + 1 for v in seed_pixel)
-    chosen = _choose(plan.name, opened, cell, seed, doubts)
+    inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
+    chosen = _choose(plan.name, opened, cell, inside, doubts)
     rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
     box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
     chosen, filled = chosen[box], filled[box]
@@ -172,18 +179,21 @@ def _fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
 
 
 def _choose(
-    name: str, opened: NDArray[np.bool_], cell: float, seed: tuple[int, ...] | None, doubts: list[str]
+    name: str, opened: NDArray[np.bool_], cell: float, seeds: NDArray[np.int64] | None, doubts: list[str]
 ) -> NDArray[np.bool_]:
-    """The piece of free space with the seed in it, or the largest that is not the outdoors."""
+    """The piece of free space with most of the seeds in it, or the largest that is not the outdoors."""
     from scipy import ndimage
 
     label, n = ndimage.label(opened)
     area = np.bincount(label.ravel(), minlength=n + 1) * cell**2
     area[0] = 0
-    if seed is not None:
-        if not all(0 <= v < m for v, m in zip(seed, label.shape, strict=True)) or not label[seed]:
+    if seeds is not None:
+        within = seeds[((seeds >= 0) & (seeds < label.shape)).all(axis=1)]
+        votes = np.bincount(label[tuple(within.T)], minlength=n + 1)
+        votes[0] = 0
+        if not votes.any():
             raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
-        return label == label[seed]
+        return np.equal(label, np.argmax(votes))
     # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
     edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
     outdoors = np.bincount(edge, minlength=n + 1) > 0.25 * len(edge)
@@ -200,7 +210,7 @@ def _choose(
             f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
             f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
         )
-    return label == best
+    return np.equal(label, best)
 
 
 def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening], Regions, NDArray[np.bool_]]:
@@ -263,9 +273,7 @@ def _climb(half: NDArray[np.float32]) -> NDArray[np.int64]:
         flat = further
 
 
-def _number_tops(
-    top: NDArray[np.int64], half: NDArray[np.float32]
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _number_tops(top: NDArray[np.int64], half: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Number the tops from 1; 0 is what is not free. Returns the numbers and the height of each top."""
     tops = np.flatnonzero((top.ravel() == np.arange(top.size)) & (half.ravel() > 0))
     number = np.zeros(top.size, np.int32)
@@ -339,8 +347,7 @@ def _merge(
         if not apart:
             root[root == q] = p
             peak[p] = max(peak[p], peak[q])
-    _, root = np.unique(root, return_inverse=True)
-    return root.astype(np.int32), narrow
+    return np.unique(root, return_inverse=True)[1].astype(np.int32), narrow
 
 
 def _near(
@@ -383,9 +390,7 @@ def _is_door(
     return opening_m < settings.door_width_m and depth <= most
 
 
-def _sides(
-    space: Space, region: NDArray[np.int32], opening: Opening
-) -> tuple[tuple[int, int], NDArray[Any]]:
+def _sides(space: Space, region: NDArray[np.int32], opening: Opening) -> tuple[tuple[int, int], NDArray[Any]]:
     """Labels for the two sides of an opening: its regions, or the two sides of the line across it."""
     if opening.regions[0] != opening.regions[1]:
         return opening.regions, region
@@ -434,8 +439,7 @@ def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArra
                 touched |= {a, b}
         if not touched:
             return region
-        _, root = np.unique(root, return_inverse=True)
-        region = root.astype(np.int32)[region]
+        region = np.unique(root, return_inverse=True)[1].astype(np.int32)[region]
 
 
 @dataclass(eq=False)
@@ -469,10 +473,9 @@ class Regions:
 def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Opening]) -> Regions:
     """Area, half width, elongation, openness and number of exits of every region."""
     n = int(region.max()) + 1
-    area = np.bincount(region.ravel(), minlength=n) * space.cell_m**2
-    peak = np.zeros(n, np.float32)
+    area: NDArray[Any] = np.bincount(region.ravel(), minlength=n) * space.cell_m**2
+    peak: NDArray[Any] = np.zeros(n)
     np.maximum.at(peak, region.ravel(), space.half_width_m.ravel())
-    peak = peak.astype(float)
     area[0], peak[0] = 0, 1
     open_m, exits = np.zeros(n), np.zeros(n, np.int64)
     for opening in openings:

@@ -1,0 +1,172 @@
+"""``tasklift map``: parse and call; no logic here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+_file = click.Path(path_type=Path)
+
+
+class _Place(click.ParamType):
+    """``X,Y`` in metres."""
+
+    name = "X,Y"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float] | int:
+        """Two numbers with a comma between; with one whole number, a node."""
+        if not isinstance(value, str):
+            return value  # type: ignore[return-value]
+        parts = value.split(",")
+        try:
+            if len(parts) == 1:
+                return int(parts[0])
+            x, y = (float(part) for part in parts)
+        except ValueError:
+            self.fail(f"expected X,Y in metres such as 3.5,12, found {value!r}", param, ctx)
+        if not max(abs(x), abs(y)) <= 1e6:
+            self.fail(f"{value} is not a place within a building (m)", param, ctx)
+        return x, y
+
+
+@click.group("map")
+def map_group() -> None:
+    """Turn floor plans into buildings; look at them, check, correct, export."""
+
+
+@map_group.command("import")
+@click.argument("file", type=_file)
+@click.option("-o", "--out", type=_file, help="The building to write [FILE with .json, here].")
+@click.option("--overlay", type=_file, help="The picture to write, .png or .svg [beside the building].")
+@click.option("--edits", type=_file, help="Corrections to apply, see 'map edit'.")
+@click.option("--seed-point", type=_Place(), help="A point in the building, where the picture holds several.")
+@click.option("--smallest-room", type=float, help="Smallest area of a room, m² [4].")
+@click.option("--door-rule", type=click.Choice(["relative", "absolute"]), help="What is a door [relative].")
+@click.option("--start", type=_Place(), help="Where robots begin: a point, or a node's number.")
+@click.option("--level", help="The level of an open-rmf building.")
+@click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")
+def import_command(
+    file: Path,
+    out: Path | None,
+    overlay: Path | None,
+    edits: Path | None,
+    seed_point: tuple[float, float] | int | None,
+    smallest_room: float | None,
+    door_rule: str | None,
+    start: tuple[float, float] | int | None,
+    level: str | None,
+    allow_outside: bool,
+) -> None:
+    """Turn a map into a building: ROS map (YAML), open-rmf .building.yaml, patrolling_sim .graph."""
+    from tasklift.plans.importing import import_map
+
+    if isinstance(seed_point, int):
+        raise click.BadParameter("expected X,Y in metres", param_hint="--seed-point")
+    out = out or Path(f"{file.name.split('.')[0]}.json")
+    overlay = overlay or out.with_suffix(".png")
+    building, doubts = import_map(
+        file,
+        out,
+        overlay,
+        edits=edits,
+        seed_point=seed_point,
+        smallest_room_m2=smallest_room,
+        door_rule=door_rule,
+        start=start,
+        level=level,
+        allow_outside=allow_outside,
+        progress=lambda text: click.echo(f"  {text} …", err=True),
+    )
+    click.echo(repr(building))
+    for doubt in doubts:
+        click.echo(f"doubtful: {doubt}")
+    click.echo(f"wrote {out} and {overlay}: look at the picture, then correct with 'tasklift map edit'")
+
+
+@map_group.command("show")
+@click.argument("building", type=_file)
+@click.option("-o", "--out", type=_file, help="The picture to write, .png or .svg [BUILDING with .png].")
+@click.option("--plan", type=_file, help="The map to draw it on; else its own sketch.")
+@click.option("--level", help="The level of an open-rmf plan.")
+@click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")
+def show_command(building: Path, out: Path | None, plan: Path | None, level: str | None, allow_outside: bool) -> None:
+    """Draw a building, with node ids."""
+    from tasklift.building.graph import Building
+    from tasklift.plans.importing import read_plan
+    from tasklift.plans.overlay import draw_overlay
+
+    out = out or building.with_suffix(".png")
+    drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside)
+    draw_overlay(Building.load(building), out, drawn_on)
+    click.echo(f"wrote {out}")
+
+
+@map_group.command("check")
+@click.argument("building", type=_file)
+@click.option("--nodes", is_flag=True, help="List every node with its place.")
+def check_command(building: Path, nodes: bool) -> None:
+    """Count what is in a building and say what looks wrong."""
+    from tasklift.building.graph import Building
+    from tasklift.plans.check import check, node_lines
+
+    loaded = Building.load(building)
+    for line in check(loaded).lines():
+        click.echo(line)
+    for line in node_lines(loaded) if nodes else ():
+        click.echo(line)
+
+
+@map_group.command("edit")
+@click.argument("building", type=_file)
+@click.argument("edits", type=_file)
+@click.option("-o", "--out", type=_file, required=True, help="The corrected building to write.")
+@click.option("--overlay", type=_file, help="A picture of it to write, .png or .svg.")
+def edit_command(building: Path, edits: Path, out: Path, overlay: Path | None) -> None:
+    """Apply a file of corrections: drop, merge, move nodes, add doors and edges, set classes."""
+    from tasklift.building.graph import Building
+    from tasklift.plans.edits import apply_edits, read_edits
+    from tasklift.plans.overlay import draw_overlay
+
+    corrected, remarks = apply_edits(Building.load(building), read_edits(edits))
+    corrected.save(out)
+    if overlay is not None:
+        draw_overlay(corrected, overlay)
+    click.echo(repr(corrected))
+    for remark in remarks:
+        click.echo(f"note: {remark}")
+
+
+@map_group.command("export")
+@click.argument("building", type=_file)
+@click.argument("out", type=_file)
+@click.option("--resolution", type=float, default=0.05, show_default=True, help="Metres per pixel.")
+def export_command(building: Path, out: Path, resolution: float) -> None:
+    """Write a building as .graph (patrolling_sim) or as a ROS map (.yaml and .pgm)."""
+    from tasklift.building.graph import Building
+    from tasklift.plans.importing import export
+
+    for remark in export(Building.load(building), out, resolution):
+        click.echo(f"note: {remark}")
+    click.echo(f"wrote {out}")
+
+
+@map_group.command("generate")
+@click.option("-o", "--out", type=_file, required=True, help="The building to write.")
+@click.option("--intersections", type=int, default=21, show_default=True)
+@click.option("--corridors", type=int, default=25, show_default=True)
+@click.option("--rooms", type=int, default=6, show_default=True)
+@click.option("--features", type=int, default=16, show_default=True)
+@click.option("--doors", type=int, help="Features that are doors [a quarter, at least 4].")
+@click.option("--seed", type=int, default=0, show_default=True)
+def generate_command(
+    out: Path, intersections: int, corridors: int, rooms: int, features: int, doors: int | None, seed: int
+) -> None:
+    """Generate a building with exactly these counts."""
+    from tasklift.building.generate import generate
+
+    building = generate(intersections, corridors, rooms, features, doors, seed)
+    building.save(out)
+    click.echo(repr(building))

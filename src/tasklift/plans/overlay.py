@@ -1,0 +1,147 @@
+"""The graph of a building drawn on its plan, so that a person sees at a glance what was understood."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, OTHER, ROOM, Building
+from tasklift.errors import TaskliftError
+from tasklift.files import write_atomically
+from tasklift.plans.ros import Plan
+
+# Told apart by shape as well as by colour
+_SIGNS: tuple[tuple[str, int, int | None, str, str, float], ...] = (
+    ("room", ROOM, None, "s", "#1b7f3b", 1.6),
+    ("junction", INTERSECTION, None, "o", "#1d4ed8", 1.0),
+    ("door", FEATURE, DOOR, "D", "#dc2626", 0.95),
+    ("bend", FEATURE, BEND, "^", "#a21caf", 0.95),
+    ("corner", FEATURE, CORNER, "v", "#a21caf", 0.95),
+    ("other feature", FEATURE, OTHER, "X", "#4b5563", 0.95),
+)
+LONGEST_SIDE_INCHES = 16.0
+PIXELS_PER_INCH = 100
+
+
+def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | None = None) -> None:
+    """Draw rooms, doors, junctions, bends and node ids over the plan, and write the picture.
+
+    Parameters
+    ----------
+    building
+        What to draw.
+    path
+        The picture: ``.png`` or ``.svg``.
+    plan
+        What to draw on. ``None``: a floor plan sketched from the building itself.
+    """
+    import io
+
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".png", ".svg"):
+        raise TaskliftError(f"{path}: expected a picture that ends in .png or .svg")
+    low, high = _bounds(building)
+    width, height = high - low
+    scale = LONGEST_SIDE_INCHES / max(width, height + 0.05 * max(width, height))
+    figure = Figure(figsize=(max(4.0, width * scale), max(3.0, height * scale + 0.6)), dpi=PIXELS_PER_INCH)
+    axes = figure.add_axes((0.005, 0.04, 0.99, 0.955))
+    if plan is None:
+        from tasklift.plans.draw import draw_plan
+
+        draw_plan(building, axes, legend=False)
+    else:
+        _draw_picture(axes, plan)
+    _draw_graph(axes, building, scale)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    buffer = io.BytesIO()
+    # text stays text in SVG, and the same building gives the same file
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tasklift"}):
+        metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
+        figure.savefig(buffer, format=suffix[1:], metadata=metadata)
+    write_atomically(path, buffer.getvalue())
+
+
+def _bounds(building: Building) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([building.position_m, building.outline_m])
+    return points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+
+
+def _draw_picture(axes: Any, plan: Plan) -> None:
+    """The plan in pale grey, turned by its yaw."""
+    from matplotlib.transforms import Affine2D
+
+    height, width = plan.grey.shape
+    x, y, yaw = plan.origin
+    pale = (160 + plan.grey.astype(np.float32) * (95 / 255)).astype(np.uint8)
+    pale[~plan.free & ~plan.unknown] = 70
+    extent = (0.0, width * plan.resolution_m, 0.0, height * plan.resolution_m)
+    axes.imshow(
+        pale,
+        cmap="gray",
+        vmin=0,
+        vmax=255,
+        extent=extent,
+        interpolation="nearest",
+        zorder=0,
+        transform=Affine2D().rotate(yaw).translate(x, y) + axes.transData,
+    )
+
+
+def _draw_graph(axes: Any, building: Building, scale: float) -> None:
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+
+    position = building.position_m
+    # signs about as large as half a metre, but never too small to tell apart or too large for the plan
+    size = float(np.clip(0.55 * scale * 72, 4.0, 9.0))
+    axes.add_collection(
+        LineCollection(list(position[building.edges]), colors="#0ea5e9", linewidths=size / 4.5, zorder=2)
+    )
+    handles = []
+    for label, kind, feature, marker, colour, factor in _SIGNS:
+        mask = building.kind == kind
+        if feature is not None:
+            mask &= building.feature_class == feature
+        style: dict[str, Any] = {
+            "marker": marker,
+            "color": colour,
+            "linestyle": "none",
+            "markeredgecolor": "white",
+            "markeredgewidth": 0.5,
+        }
+        axes.plot(*position[mask].T, **style, markersize=size * factor, zorder=3)
+        if mask.any():
+            handles.append(Line2D([], [], **style, markersize=8, label=f"{label} ({int(mask.sum())})"))
+    ring: dict[str, Any] = {"marker": "o", "markerfacecolor": "none", "markeredgecolor": "#ea580c", "linestyle": "none"}
+    axes.plot(*position[building.start], **ring, markersize=size * 2.4, markeredgewidth=2, zorder=4)
+    handles.append(Line2D([], [], **ring, markersize=10, markeredgewidth=2, label="start"))
+    for node, (x, y) in enumerate(position.tolist()):
+        axes.annotate(
+            str(node),
+            (x, y),
+            (size * 0.55, size * 0.45),
+            textcoords="offset points",
+            fontsize=size * 0.95,
+            color="#111827",
+            zorder=5,
+            clip_on=True,
+        )
+    axes.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        ncols=len(handles),
+        frameon=False,
+        fontsize=9,
+        handletextpad=0.3,
+        columnspacing=1.2,
+    )

@@ -168,6 +168,18 @@ def test_a_cap_over_all_stages_ends_the_run_and_one_of_a_stage_only_the_stage() 
     assert both.ledger.total >= 5
 
 
+def test_a_rehearsal_loses_nothing_for_good() -> None:
+    learner = ValueLearning("sarsa", 0.5, epsilon=0.3)
+    drill = Stage("drill", Gate.task, Gate(), learner, trials=200, rehearsal=True)
+    real = Stage("real", Gate.task, Gate(), learner, trials=30)
+    run = Curriculum([drill, real], max_losses=50).run(2)
+    first, second = run.ledger.entries
+    assert (first.trials, first.losses) == (200, 0)
+    assert first.would_be == run.outcomes["drill"].losses.sum() > 0
+    assert run.ledger.total == second.losses == run.outcomes["real"].losses.sum()
+    assert f"({first.would_be} would-be losses)" in str(run.ledger)
+
+
 def test_the_rollback_policy_is_the_one_with_which_the_best_block_began() -> None:
     # learning that is punished for going: it gets worse and worse, so the best block is an early one
     spoilt = Corridor.task.simplify(signals=[Signal(-0.5, {"go": 1})], time_reward=0.0)
@@ -263,7 +275,8 @@ def test_the_guard_sees_harm_and_falls_back() -> None:
     entries = {e.learner: e for e in run.ledger.entries}
     assert entries["control"].trials > 0.2 * 400
     assert entries["control"].trials + entries["transferred"].trials == 400
-    assert run.outcomes["gate (control)"].success[-20:].mean() > 0.8
+    assert run.at_the_end("gate") is run.outcomes["gate (control)"]
+    assert run.at_the_end("gate").success[-20:].mean() > 0.8
 
 
 def test_on_harm_trust_may_decay_instead() -> None:
@@ -349,6 +362,7 @@ OTHER = Task("other", (Variable("place", (0, 1, 2)), Variable("shut", ("no", "ye
         ([replace(GOOD, trials=None)], {}, "stage 'gate': has no budget"),
         ([replace(GOOD, trials=0)], {}, "stage 'gate', trials: expected a whole number of at least 1"),
         ([replace(GOOD, max_losses=0)], {}, "stage 'gate', max_losses: expected a whole number of at least 1"),
+        ([replace(GOOD, rehearsal=True, max_losses=5)], {}, "a rehearsal loses nothing"),
         ([GOOD], {"max_losses": 0}, "curriculum, max_losses: expected a whole number of at least 1"),
         ([GOOD], {"best_by": ["luck"]}, "best_by: expected losses"),
         ([replace(GOOD, repeats=2)], {}, "a sweep .* has its own budget"),

@@ -12,6 +12,13 @@ _HOMES = {
     "task": ("Signal", "Task", "Variable"),
     "policy": ("Policy", "invert", "scale", "set_weight", "swap"),
     "learn": ("Curve", "Outcomes", "Reinforcement", "Trials", "reinforce", "sweep"),
+    "steps": ("Step", "StepTrials", "Steps"),
+    "model": ("Model",),
+    "values": ("ValueLearning", "evaluate", "learn_values"),
+    "guard": ("Guard",),
+    "transfer": ("Curriculum", "Ledger", "Stage"),
+    "verdict": ("compare",),
+    "approx": ("approximate", "fidelity", "learn_approximate"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -153,6 +153,7 @@ class GuardReport:
     pairs: int = 0
     evidence: tuple[float, float] = (1.0, 1.0)
     actions: list[str] = field(default_factory=list)
+    fell_back: bool = False
 
     def __str__(self) -> str:
         told = f"transfer {self.verdict}" if self.verdict != "can't tell yet" else self.verdict

@@ -54,6 +54,9 @@ class Stage:
         Whether the exploration rate goes on from the stage before, or starts again at the learner's.
     max_losses
         The stage stops for good before the next trial could begin once it has lost so many.
+    rehearsal
+        What is lost here is not lost for good (a drill against hostiles that repel, a simulated fall): it is booked
+        apart, as would-be losses, and counts for no cap.
     guard
         Watches whether what was transferred helps.
     key
@@ -71,6 +74,7 @@ class Stage:
     trust: float | None = None
     keep_exploration: bool = True
     max_losses: int | None = None
+    rehearsal: bool = False
     guard: Guard | None = None
     key: int | None = None
 
@@ -84,18 +88,16 @@ class Stage:
             if value is not None:
                 whole(value, f"{where}, {name}", at_least=0 if name == "key" else 1)
         if self.repeats is not None and (self.trials, self.steps, self.guard) != (None, None, None):
+            raise TaskliftError(f"{where}: a sweep (repeats=) has its own budget and no guard; drop the others")
+        if self.rehearsal and self.max_losses is not None:
             raise TaskliftError(
-                f"{where}: a sweep (repeats=) has its own budget and no guard; drop the others"
+                f"{where}: a rehearsal loses nothing for good, so a cap on losses says nothing; drop it"
             )
         by_value = isinstance(self.learner, ValueLearning)
         if by_value and self.repeats is not None:
-            raise TaskliftError(
-                f"{where}: a sweep reinforces weights; a learner by value needs trials= or steps="
-            )
+            raise TaskliftError(f"{where}: a sweep reinforces weights; a learner by value needs trials= or steps=")
         if by_value and not isinstance(self.world, Steps):
-            raise TaskliftError(
-                f"{where}: the world runs whole trials only; a learner by value must meet it by steps"
-            )
+            raise TaskliftError(f"{where}: the world runs whole trials only; a learner by value must meet it by steps")
         try:
             self.task.ancestor(self.world.task)
             for operation in self.prior:
@@ -127,9 +129,7 @@ def _trust_unit(stage: Stage) -> float:
         raise TaskliftError(f"{where}: expected a number above 0, found {stage.trust}")
     if isinstance(stage.learner, ValueLearning):
         if stage.learner.step_power == 0:
-            raise TaskliftError(
-                f"{where}: needs step sizes that fall with visits; give the learner a step_power"
-            )
+            raise TaskliftError(f"{where}: needs step sizes that fall with visits; give the learner a step_power")
         return 1.0
     unit = max([abs(s.value) for s in stage.task.signals] + [abs(stage.task.time_reward)])
     if unit == 0:
@@ -144,9 +144,7 @@ def with_trust(policy: Policy, stage: Stage) -> Policy:
         visits = np.where(np.asarray(policy.carried["visits"]) > 0, trust, 0.0)
         return replace(policy, carried=dict(policy.carried) | {"visits": visits})
     means = policy.weights.mean(axis=1, keepdims=True)
-    return replace(
-        policy, weights=policy.weights * np.where(means > 0, trust * unit / np.maximum(means, 1e-300), 1.0)
-    )
+    return replace(policy, weights=policy.weights * np.where(means > 0, trust * unit / np.maximum(means, 1e-300), 1.0))
 
 
 # -- the ledger --------------------------------------------------------------------------------------------
@@ -161,6 +159,7 @@ class Entry:
     trials: int
     steps: int
     losses: int
+    would_be: int  # what a rehearsal would have lost
     stopped: bool  # at its cap
 
 
@@ -194,9 +193,8 @@ class Ledger:
         for e in self.entries:
             rate = f"{1000 * e.losses / e.steps:.2f}" if e.steps else "-"
             note = "  (stopped at its cap)" if e.stopped else ""
-            lines.append(
-                f"{e.stage:<16} {e.learner:<12} {e.trials:>8} {e.steps:>10} {e.losses:>8}  {rate}{note}"
-            )
+            note += f"  ({e.would_be} would-be losses)" if e.would_be else ""
+            lines.append(f"{e.stage:<16} {e.learner:<12} {e.trials:>8} {e.steps:>10} {e.losses:>8}  {rate}{note}")
         return "\n".join([*lines, f"total losses {self.total}"])
 
 
@@ -215,6 +213,11 @@ class CurriculumRun:
     ledger: Ledger
     guards: dict[str, GuardReport]
     stopped: str | None
+
+    def at_the_end(self, stage: str) -> Outcomes:
+        """Return the outcomes of the learner whose policy counts: the control's, if the guard fell back to it."""
+        fell_back = stage in self.guards and self.guards[stage].fell_back
+        return self.outcomes[f"{stage} (control)" if fell_back else stage]
 
 
 @dataclass(frozen=True)
@@ -251,9 +254,7 @@ class Curriculum:
             whole(self.max_losses, "curriculum, max_losses", at_least=1)
         unknown = [name for name in self.best_by if name not in ("losses", "success", "steps", "return")]
         if unknown or not self.best_by:
-            raise TaskliftError(
-                f"curriculum, best_by: expected losses, success, steps or return, found {unknown}"
-            )
+            raise TaskliftError(f"curriculum, best_by: expected losses, success, steps or return, found {unknown}")
         for stage in self.stages:
             stage.check()
         for stage, after in zip(self.stages, self.stages[1:], strict=False):
@@ -287,7 +288,7 @@ class Curriculum:
             left = None if self.max_losses is None else self.max_losses - sum(e.losses for e in entries)
             if left is not None and left <= 0:
                 break
-            run = _StageRun(self, stage, self._key(number), seed, policy, left)
+            run = _StageRun(self, stage, self._key(number), seed, policy, None if stage.rehearsal else left)
             run.go()
             policy = run.chosen.best if run.stopped else run.chosen.policy
             entries += run.entries()
@@ -296,9 +297,7 @@ class Curriculum:
                 guards[stage.name] = run.report
                 outcomes[f"{stage.name} (control)"] = run.control.outcomes
             stopped = stage.name if run.stopped else stopped
-        return CurriculumRun(
-            run.chosen.policy, run.chosen.best, outcomes, Ledger(tuple(entries)), guards, stopped
-        )
+        return CurriculumRun(run.chosen.policy, run.chosen.best, outcomes, Ledger(tuple(entries)), guards, stopped)
 
     def _key(self, number: int) -> int:
         stage = self.stages[number]
@@ -395,9 +394,7 @@ def _means(outcomes: Outcomes, name: str) -> float:
     if name == "return":
         returns: Any = getattr(outcomes, "returns", None)
         if returns is None:
-            raise TaskliftError(
-                "curriculum, best_by: this world has no returns; name losses, success or steps"
-            )
+            raise TaskliftError("curriculum, best_by: this world has no returns; name losses, success or steps")
         return float(np.mean(returns))
     mean = float(np.mean(getattr(outcomes, name)))
     return mean if name == "success" else -mean
@@ -430,9 +427,7 @@ class _StageRun:
             if stage.steps is not None:
                 self.block = 1  # trials of weights do not count steps, so ask after each
             elif stage.learner.time_signal == "baseline" and stage.guard is None:
-                self.block = (
-                    stage.trials or 1
-                )  # its running mean is the world's, and begins anew with every call
+                self.block = stage.trials or 1  # its running mean is the world's, and begins anew with every call
 
     def go(self) -> None:
         """Run the stage until its budget, or a cap, is reached."""
@@ -442,9 +437,7 @@ class _StageRun:
         else:
             while self._next_block():
                 pass
-        self.chosen.policy, self.chosen.best = (
-            self.chosen.told(p) for p in (self.chosen.policy, self.chosen.best)
-        )
+        self.chosen.policy, self.chosen.best = (self.chosen.told(p) for p in (self.chosen.policy, self.chosen.best))
 
     def _next_block(self) -> bool:
         """Run the next block of the learner or of the control; returns whether there may be more."""
@@ -460,9 +453,7 @@ class _StageRun:
             return False
         turn = self.chosen
         if guard is not None and self.chosen is not control and self.lifted.trials > control.trials:
-            used, whole_of_it = (
-                (control.trials, done_trials) if steps is None else (control.steps, done_steps)
-            )
+            used, whole_of_it = (control.trials, done_trials) if steps is None else (control.steps, done_steps)
             if used < guard.share * whole_of_it:
                 turn = control
         turn.go_on(trials, steps, None if self.cap is None else self.cap - lost)
@@ -488,7 +479,7 @@ class _StageRun:
         after = f"after {self.lifted.trials} trials"
         if guard.on_hurts == "fall back":
             self.report.actions.append(f"fell back to the control {after}")
-            self.chosen = self.control
+            self.chosen, self.report.fell_back = self.control, True
             return
         self.report.actions.append(f"moved half-way to the control {after}")
         self.lifted.policy = _half_way(self.lifted.policy, self.control.policy)
@@ -498,11 +489,17 @@ class _StageRun:
 
     def entries(self) -> list[Entry]:
         """Return the stage's lines of the ledger."""
-        courses = [("transferred", self.lifted)] + [("control", self.control)] * (
-            self.stage.guard is not None
-        )
+        courses = [("transferred", self.lifted)] + [("control", self.control)] * (self.stage.guard is not None)
         return [
-            Entry(self.stage.name, who, c.trials, c.steps, c.losses, self.stopped and c is self.chosen)
+            Entry(
+                self.stage.name,
+                who,
+                c.trials,
+                c.steps,
+                0 if self.stage.rehearsal else c.losses,
+                c.losses if self.stage.rehearsal else 0,
+                self.stopped and c is self.chosen,
+            )
             for who, c in courses
         ]
 

@@ -113,6 +113,11 @@ def compare(
         What is judged beside losses; default: returns where the world gives them, else steps.
     first, last
         Trials over which the jumpstart and the late performance are averaged.
+
+    Notes
+    -----
+    The direct learner has no cap and no guard. Losses on the target include the guard's control; late performance is
+    that of the learner whose policy counts in the end. Rehearsals' would-be losses are left out.
     """
     whole_number(seeds, "compare, seeds", at_least=2)
     whole_number(first, "compare, first", at_least=1)
@@ -136,7 +141,7 @@ def compare(
     kind: Performance = performance or ("return" if hasattr(lifted[0], "returns") else "steps")
     return Comparison(
         seeds,
-        tuple(_findings(runs, lifted, plain, longer, kind, first, last)),
+        tuple(_findings(runs, lifted, plain, longer, target.name, kind, first, last)),
         _mean_ledger([run.ledger for run in runs]),
         _guard_counts(runs),
         runs[0].policy,
@@ -179,6 +184,7 @@ def _findings(
     lifted: list[Outcomes],
     plain: list[Outcomes],
     longer: list[Outcomes],
+    target: str,
     kind: Performance,
     first: int,
     last: int,
@@ -193,12 +199,14 @@ def _findings(
 
     early, late = slice(None, first), slice(-last, None)
     everything = np.array([float(run.ledger.total) for run in runs])
+    on_target = np.array([float(run.ledger.by_stage()[target]) for run in runs])
+    ended = [run.at_the_end(target) for run in runs]
     name = {"return": "return", "steps": "steps", "success": "success"}[kind]
     return [
         _finding(f"jumpstart ({name}, first {first} trials)", curves(lifted, early), curves(plain, early), better),
-        _finding(f"late {name} (last {last} trials)", curves(lifted, late), curves(plain, late), better),
-        _finding(f"late {name}, equal total budget", curves(lifted, late), curves(longer, late), better),
-        _finding("losses, target only", losses(lifted), losses(plain), "less"),
+        _finding(f"late {name} (last {last} trials)", curves(ended, late), curves(plain, late), better),
+        _finding(f"late {name}, equal total budget", curves(ended, late), curves(longer, late), better),
+        _finding("losses, target only", on_target, losses(plain), "less"),
         _finding("losses, all stages, equal total budget", everything, losses(longer), "less"),
     ]
 

@@ -28,6 +28,8 @@ class Event:
     reward: float
     after: Any  # observation
     terminated: bool
+    input: int  # index, in the task, of the observation after it
+    output: int  # index, in the task, of the action
 
 
 Judge = Callable[[Event], Any]
@@ -144,11 +146,11 @@ class Factored:
         """Do one step with this output."""
         action = self.actions[output]
         after, reward, terminated, _, _ = self.env.step(action)
-        event = Event(self._before, action, float(reward), after, bool(terminated))
+        event = Event(self._before, action, float(reward), after, bool(terminated), self.input_of(after), output)
         self._before = after
         lost, success = self.judge(event)
         # truncation is ours to do, by `limit`: it cuts a trial off, it does not end it
-        return Step(self.input_of(after), event.reward, event.terminated, lost, success)
+        return Step(event.input, event.reward, event.terminated, lost, success)
 
     def judge(self, event: Event) -> tuple[int, bool]:
         """Return what an event lost, and whether the trial succeeds with it."""
@@ -157,17 +159,23 @@ class Factored:
             return lost, bool(self._success(event))
         return lost, event.terminated and not lost
 
+    @property
+    def has_model(self) -> bool:
+        """Whether the environment tells its transitions, so that :meth:`model` can be had."""
+        world = self.env.unwrapped
+        return hasattr(world, "P") and hasattr(world, "initial_state_distrib")
+
     def model(self) -> Model:
         """Return the environment as an explicit :class:`~tasklift.model.Model`: the same world, much faster.
 
         For environments that keep their transitions in ``P`` and ``initial_state_distrib``, as Gymnasium's
         toy text environments do. Loss and success are asked once for every transition.
         """
-        world = self.env.unwrapped
-        table, start = getattr(world, "P", None), getattr(world, "initial_state_distrib", None)
-        if table is None or start is None:
+        if not self.has_model:
             raise TaskliftError(f"{self._name}: has no table of transitions (P, initial_state_distrib)")
+        table, start = self.env.unwrapped.P, self.env.unwrapped.initial_state_distrib
         n, outputs = len(table), len(self.actions)
+        rows = np.array([self.input_of(s) for s in range(n)], dtype=np.int64)
         branches = max(len(table[s][a]) for s in range(n) for a in self.actions)
         shape = (n, outputs, branches)
         probability, reward = np.zeros(shape), np.zeros(shape)
@@ -177,10 +185,9 @@ class Factored:
             for a, action in enumerate(self.actions):
                 for k, (p, to, r, terminated) in enumerate(table[s][action]):
                     at = (s, a, k)
-                    event = Event(s, action, float(r), int(to), bool(terminated))
+                    event = Event(s, action, float(r), int(to), bool(terminated), int(rows[to]), a)
                     probability[at], after[at], reward[at], ended[at] = p, to, r, terminated
                     lost[at], success[at] = self.judge(event)
-        rows = np.array([self.input_of(s) for s in range(n)], dtype=np.int64)
         start = np.asarray(start, dtype=np.float64)
         return Model(self._task, rows, start, probability, after, reward, ended, lost, success, self._limit)
 
@@ -198,9 +205,7 @@ def _fits(space: Any, variables: Sequence[Variable], what: str, function: str) -
     sizes, ours = _sizes(space), [len(v) for v in variables]
     if sizes is None or (sizes != ours and (len(sizes) > 1 or sizes[0] != int(np.prod(ours)))):
         names = " × ".join(f"{v.name} ({len(v)})" for v in variables)
-        raise TaskliftError(
-            f"{what} is {space}, which does not split into {names} by itself; give {function}="
-        )
+        raise TaskliftError(f"{what} is {space}, which does not split into {names} by itself; give {function}=")
 
 
 def _index(observation: Any, variables: Sequence[Variable]) -> int:

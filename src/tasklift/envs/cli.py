@@ -1,0 +1,20 @@
+"""``tasklift learn``: parse and call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command("learn")
+@click.argument("spec", type=click.Path(path_type=Path))
+@click.option("--seeds", type=click.IntRange(min=2), help="In place of the spec's number of seeds.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the comparison and the learned policy.")
+def learn_command(spec: Path, seeds: int | None, out: Path | None) -> None:
+    """Run a curriculum from a spec file (TOML), and say whether it paid."""
+    from tasklift.envs.spec import run_spec
+
+    click.echo(str(run_spec(spec, out, seeds)))
+    if out is not None:
+        click.echo(f"comparison and policy: {out}")

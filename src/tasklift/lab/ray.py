@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import secrets
 import socket
 import sys
 from collections.abc import Generator, Iterator
@@ -44,13 +45,13 @@ def tasks(
         _connect(ray, workers, address)
     try:
         remote = ray.remote(max_retries=_RETRIES, num_cpus=1)(_compute_group)
-        shared = ray.put((work, detail))
+        run, shared = secrets.token_hex(8), [ray.put((work, detail))]
         # two groups per core: one in work, one on its way
         limit = 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
         pending: list[Any] = []
         while True:
             while len(pending) < limit and not stopped() and (group := next(groups, None)):
-                pending.append(remote.remote(shared, group))
+                pending.append(remote.remote(run, shared, group))
             if not pending:
                 return
             ready, pending = ray.wait(pending, timeout=1.0)
@@ -95,8 +96,17 @@ def _knock(address: str) -> None:
         ) from error
 
 
-def _compute_group(shared: tuple[Work, Detail], group: Group) -> list[Packed]:
-    work, detail = shared
+_kept: dict[str, tuple[Work, Detail]] = {}  # in a worker process: what it computes with, by run
+
+
+def _compute_group(run: str, shared: list[Any], group: Group) -> list[Packed]:
+    # fetched once per process, not per task: the work may keep things (simulators) that are dear to make
+    if run not in _kept:
+        import ray
+
+        _kept.clear()
+        _kept[run] = ray.get(shared[0])
+    work, detail = _kept[run]
     return [compute(work, cell, detail) for cell in group]
 
 

@@ -20,9 +20,10 @@ from tasklift.paper.claims import CLAIMS, Finding, Sample, all_samples, evaluate
 from tasklift.paper.study import Study
 from tasklift.paper.survey import Survey, survey
 
-
 #: The seed of the first map on which nothing is learned; a study's own maps begin at 0.
 FIRST_UNSEEN = 5000
+#: A larger study leaves its rows in the store (`tasklift runs export` writes them): a text file would take gigabytes.
+MOST_CELLS_EXPORTED = 2000
 
 
 def reproduce(
@@ -88,7 +89,8 @@ def reproduce(
         samples = {name: all_samples(store, name) for name in PRESETS}
         findings = [f for name in PRESETS for f in [*surveyed(surveys[name], name), *evaluate(samples[name], name)]]
         say(1, 4, "writing rows and policies")
-        export(folder, folder / "rows.csv")
+        if len(study.cells()) <= MOST_CELLS_EXPORTED:
+            export(folder, folder / "rows.csv")
         report.write_claims(findings, folder / "claims.csv")
         for name in PRESETS:
             report.save_policies(study, folder / "policies", name, "map 0")

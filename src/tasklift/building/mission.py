@@ -7,13 +7,10 @@ as an option with a default and alternatives; ``docs/reading.md`` tells which se
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
-
-import numpy as np
-from numpy.typing import NDArray
 
 from tasklift.building.graph import DOOR, FEATURE, Building
 from tasklift.errors import TaskliftError
@@ -21,7 +18,6 @@ from tasklift.task import Signal, Task, Variable
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import SearchOutcomes, Simulator
-    from tasklift.learn import Reinforcement
 
 
 @dataclass(frozen=True, order=True)
@@ -300,33 +296,10 @@ class Mission:
 
         return Simulator(self)
 
-    def run(
-        self,
-        task: Task,
-        weights: NDArray[np.float64],
-        *,
-        trials: int,
-        seed: int,
-        stage: int,
-        reinforcement: Reinforcement,
-        outputs: NDArray[np.int64] | None = None,
-        first_trial: int = 0,
-        learn: bool = True,
-        max_losses: int | None = None,
-    ) -> SearchOutcomes:
-        """Run trials; ``weights`` (S, A) learn in place. See :meth:`tasklift.learn.Trials.run`."""
-        return self.simulator.run(
-            task,
-            weights,
-            trials=trials,
-            seed=seed,
-            stage=stage,
-            reinforcement=reinforcement,
-            outputs=outputs,
-            first_trial=first_trial,
-            learn=learn,
-            max_losses=max_losses,
-        )
+    @property
+    def run(self) -> Callable[..., SearchOutcomes]:
+        """Run trials: :meth:`tasklift.building.simulator.Simulator.run`, as :class:`tasklift.learn.Trials` asks."""
+        return self.simulator.run
 
 
 def _expect_count(where: str, value: object, least: int) -> None:

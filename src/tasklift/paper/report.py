@@ -194,8 +194,8 @@ def add_settings(report: Report, store: Store, command: str) -> None:
     report.code(command)
     report.paragraph(
         f"tasklift {tasklift.__version__}, specification `{store.spec.id[:16]}`; the rows are in `{FILE_NAME}` "
-        "(`tasklift runs export` writes them as CSV or Parquet). The same command in the same folder resumes; the same settings give the same rows on any "
-        "number of threads."
+        "(`tasklift runs export` writes them as CSV or Parquet). The same command in the same folder resumes; the same "
+        "settings give the same rows on any number of threads."
     )
     report.code(_pretty(store.spec.settings), summary="All settings")
 

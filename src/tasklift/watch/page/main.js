@@ -31,7 +31,8 @@ class Player {
     byId("title").textContent = title;
     const team = kinds.map((k) => `${k.number} ${k.name}`).join(" and ");
     const [{ hostiles }] = traces;
-    byId("about").textContent = `${building.name}: ${building.n} nodes, ${building.e} corridors; ${team} robots; ${hostiles.length === 1 ? "one hostile" : `${hostiles.length} hostiles`}`;
+    const name = title.includes(building.name) ? "" : `${building.name}: `;
+    byId("about").textContent = `${name}${building.n} nodes, ${building.e} corridors; ${team} robots; ${hostiles.length === 1 ? "one hostile" : `${hostiles.length} hostiles`}`;
   }
 
   controls() {

@@ -11,7 +11,10 @@ function make(tag, attributes = {}, ...children) {
 const byId = (id) => document.getElementById(id);
 const percent = (share) => (share > 0 && share < 0.1 ? `${(100 * share).toFixed(1)} %` : `${Math.round(100 * share)} %`);
 const SIGNS = { alert: "▲", attack: "◆", loss: "✕", cleared: "●", searched: "■", split: "<", merge: ">" };
-const NAMES = { alert: "alerts", attack: "attacks", loss: "losses", cleared: "cleared", searched: "searched", split: "splits", merge: "merges" };
+const NAMES = {
+  alert: ["alert", "alerts"], attack: ["attack", "attacks"], loss: ["loss", "losses"], cleared: ["cleared", "cleared"],
+  searched: ["searched", "searched"], split: ["split", "splits"], merge: ["merge", "merges"],
+};
 
 /** A trace's name, floor plan and numbers of the moment. */
 class Panel {
@@ -39,8 +42,8 @@ class Panel {
       this.values.robots.append(kindSign(kinds, i), count);
       return count;
     });
-    const trial = `trial ${trace.trial} · seed ${trace.seed}`;
-    this.head = make("header", {}, make("span", { class: "label" }, trace.label), make("span", { class: "trial" }, trial), this.chip);
+    const trial = `trial ${trace.trial}`, seed = `seed ${trace.seed}`;
+    this.head = make("header", {}, make("span", { class: "label" }, trace.label), make("span", { class: "trial" }, trace.label.endsWith(trial) ? seed : `${trial} · ${seed}`), this.chip);
     this.element = make("article", { class: "panel" }, this.head, this.plan, stats);
     this.scene = new Scene(this.canvas, trace, view, plan);
   }
@@ -192,7 +195,7 @@ class Log {
     byId("log-of").textContent = this.player.panels.length > 1 ? trace.label : "";
     for (const [type, button] of Object.entries(this.buttons)) {
       const count = trace.events.filter((e) => e.type === type).length;
-      button.replaceChildren(make("span", { class: `sign ${type}` }, SIGNS[type]), `${count} ${NAMES[type]}`);
+      button.replaceChildren(make("span", { class: `sign ${type}` }, SIGNS[type]), `${count} ${NAMES[type][count === 1 ? 0 : 1]}`);
       button.hidden = count === 0;
     }
     this.events = trace.events.filter((e) => this.wanted.has(e.type));

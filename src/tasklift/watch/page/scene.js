@@ -436,7 +436,9 @@ class Scene {
     const { pen, trace } = this;
     for (const hostile of trace.hostiles) {
       const standing = trace.standing(hostile, t), [x, y] = this.toScreen(...trace.building.position[hostile.node]);
-      const size = Math.max(9, Math.min(13, 1.1 * this.k));
+      const there = trace.teams[t].find((members) => trace.at("place", members[0], t) === hostile.node);
+      const crowd = there ? cluster(there.length).radius * this.size() * 2.8 * this.tight(there.length) + 3 : 0;
+      const size = Math.max(crowd, 9, Math.min(13, 1.1 * this.k)); // around the robots that stand there
       const colour = { hidden: palette.soft, suspected: palette.alert, known: palette.danger, destroyed: palette.safe }[standing];
       pen.beginPath();
       pen.moveTo(x, y - size);
@@ -445,14 +447,15 @@ class Scene {
       pen.lineTo(x - size, y);
       pen.closePath();
       pen.globalAlpha = standing === "hidden" ? 0.25 : 0.9;
-      pen.fillStyle = standing === "known" ? palette.danger : palette.paper;
+      pen.fillStyle = standing === "known" && !crowd ? palette.danger : palette.paper;
       pen.fill();
       pen.globalAlpha = 1;
-      pen.lineWidth = 2;
+      pen.lineWidth = crowd ? 3 : 2;
       pen.strokeStyle = colour;
       pen.setLineDash(standing === "hidden" ? [3, 2.5] : []);
       pen.stroke();
       pen.setLineDash([]);
+      if (crowd) continue;
       if (standing === "destroyed") this.check(x, y, size * 0.5);
       else {
         pen.fillStyle = standing === "known" ? palette.paper : colour;

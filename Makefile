@@ -37,7 +37,7 @@ test-slow: $(STAMP)  ## the tests that are slow by nature
 	$(BIN)/pytest -m slow $(ARGS)
 
 bench: $(STAMP)  ## measure speed; prints ratios within one run
-	$(BIN)/python benchmarks/simulator.py $(ARGS)
+	for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file $(ARGS) || exit 1; done
 
 docs: $(STAMP)  ## build the documentation into site/
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'

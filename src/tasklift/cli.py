@@ -23,6 +23,7 @@ _ELSEWHERE = {
         "map_group",
         "Turn floor plans into buildings; look at them, check, correct, export.",
     ),
+    "learn": ("tasklift.envs.cli", "learn_command", "Run a curriculum from a spec file; say whether it paid."),
     "watch": ("tasklift.watch.cli", "watch_command", "Replay trials in the browser."),
 }
 
@@ -77,7 +78,7 @@ def _experiment_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Options of every command that trains."""
     for option in (
         click.option("--workers", type=_positive, help="Threads, or the size of a local Ray; default: one per core."),
-        click.option("--address", help="For Ray: a running cluster, such as auto or ray://host:10001."),
+        click.option("--address", help="For Ray: a running cluster, such as auto or HOST:PORT."),
         click.option("--engine", type=click.Choice(["threads", "ray"]), default="threads", show_default=True),
     ):
         command = option(command)
@@ -107,6 +108,35 @@ def _experiment_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def reproduce(**options: Any) -> None:
     """Reproduce the paper: arms, presets, maps, seeds; figures, claims, report.html."""
     from tasklift.paper.reproduce import reproduce as run
+
+    with _progress() as progress:
+        report = run(progress=progress, **options)
+    click.echo(f"report: {report}")
+
+
+@cli.command()
+@click.option("--readings", type=click.IntRange(min=2), default=500, show_default=True, help="Readings to draw.")
+@click.option("--maps", type=_positive, default=4, show_default=True, help="Generated buildings.")
+@click.option("--seeds", type=_positive, default=5, show_default=True, help="Seeds per building.")
+@click.option("--trials", type=_positive, default=100, show_default=True, help="Trials on the full task.")
+@click.option(
+    "--design",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of the design: which readings are drawn.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("multiverse"),
+    show_default=True,
+    help="Folder for the report; the same command resumes there.",
+)
+@_experiment_options
+def multiverse(**options: Any) -> None:
+    """Judge the paper's claims under many readings of it: shares, what decides, report.html."""
+    from tasklift.paper.multiverse_report import multiverse as run
 
     with _progress() as progress:
         report = run(progress=progress, **options)

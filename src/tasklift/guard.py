@@ -46,13 +46,9 @@ class SequentialTest:
         self.alpha = alpha
         self.pairs = 0
         self.verdict: Verdict = "can't tell yet"
+        #: the most that the products for "helps" and "hurts" have come to; a verdict falls at 1 / alpha
+        self.evidence = (1.0, 1.0)
         self._log_wealth = np.zeros((2, len(_STAKES)))
-
-    @property
-    def evidence(self) -> tuple[float, float]:
-        """The two products: for "helps" and for "hurts"; the verdict falls at 1 / alpha."""
-        helps, hurts = np.exp(self._log_wealth).mean(axis=1)
-        return float(helps), float(hurts)
 
     def update(self, difference: float) -> Verdict:
         """Take in one difference (above 0: transfer did better); return the verdict, which stays."""
@@ -61,6 +57,8 @@ class SequentialTest:
         self.pairs += 1
         self._log_wealth[0] += np.log1p(_STAKES * difference)
         self._log_wealth[1] += np.log1p(-_STAKES * difference)
+        now = np.exp(self._log_wealth).mean(axis=1)
+        self.evidence = (max(self.evidence[0], float(now[0])), max(self.evidence[1], float(now[1])))
         if self.verdict == "can't tell yet":
             helps, hurts = self.evidence
             if helps >= 1 / self.alpha:

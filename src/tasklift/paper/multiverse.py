@@ -12,6 +12,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -105,8 +106,8 @@ def draw(n: int, seed: int = 0) -> NDArray[np.int64]:
     if n < 2:
         raise TaskliftError(f"readings: expected at least 2, found {n}")
     points = qmc.LatinHypercube(len(OPTIONS), optimization="random-cd", seed=seed).random(n)
-    sizes = np.array([len(option.levels) for option in OPTIONS])
-    return np.minimum((points * sizes).astype(np.int64), sizes - 1)
+    ranks = points.argsort(axis=0).argsort(axis=0)
+    return np.asarray(ranks * np.array([len(option.levels) for option in OPTIONS]) // n, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -382,7 +383,7 @@ def _standardised(finding: Finding) -> float:
     """Return the effect in standard errors, positive on the claim's side; nan where that has no meaning."""
     interval = finding.interval
     word, _, bound = finding.better.partition(" ")
-    if word not in ("above", "below") or interval.confidence != 0.95:
+    if word not in ("above", "below") or finding.claim in ("C1", "C11"):  # C1 asks for some map; C11 has two bounds
         return float("nan")
     error = (interval.high - interval.low) / 3.92
     gain = (interval.estimate - float(bound)) * (1 if word == "above" else -1)
@@ -460,7 +461,7 @@ def _p_values(member: Floats, y: Floats, estimate: Floats) -> Floats:
     from scipy.stats import t
 
     p = np.full(len(estimate), np.nan)
-    for start, end in zip(OFFSETS, OFFSETS[1:], strict=False):
+    for start, end in pairwise(OFFSETS):
         x = member[:, start:end]
         size = x.sum(axis=0)
         freedom = y.size - int((size > 0).sum())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,7 @@ Floats = NDArray[np.float64]
 #: The claims in as many words as fit beside a bar.
 SHORT = {
     "C1": "on some map, weights fall with CA",
-    "C2": "on some map, CA makes no difference",
+    "C2": "on some map, CA does not matter",
     "C3": "converges faster",
     "C4": "ends at a lower time",
     "C5": "fewer trials out of time",
@@ -52,9 +53,9 @@ SHORT = {
     "C7": "keeps all robots more often",
     "C7b": "keeps all robots in 11 of 100 trials",
     "C8": "fewer teams for as many robots",
-    "C9a": "no feature: move",
-    "C9b": "enemy feature: stop",
-    "C9c": "enemy feature, m weapons: move more",
+    "C9a": "at no feature: move",
+    "C9b": "at the enemy feature: stop",
+    "C9c": "there with m weapons: move more",
     "C10": "exploration beats exploitation",
     "C11": "the policy is optimal",
     "C12": "similar on all maps",
@@ -65,8 +66,8 @@ _TITLES = {"V": "the simple task V", "direct": "direct learning alone",
            "copy+prior": "copy+prior against direct"}  # fmt: skip
 _HOLDS, _OPEN, _FAILS = "#0072b2", "#dfe3e8", "#d55e00"
 _INK, _MUTED = "#22262e", "#6b7280"
-_LOOK = {"font.family": "DejaVu Sans", "font.size": 8, "axes.linewidth": 0.7, "xtick.labelsize": 7.5,
-         "xtick.color": _MUTED, "ytick.color": _MUTED}  # fmt: skip
+_LOOK: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 8, "axes.linewidth": 0.7,
+                        "xtick.labelsize": 7.5, "xtick.color": _MUTED, "ytick.color": _MUTED}  # fmt: skip
 #: A cell is at its darkest where a level moves the balance of verdicts by so much (of −1 … 1).
 _DARKEST = 0.6
 
@@ -150,7 +151,7 @@ def by_rule(judged: Judged) -> dict[str, NDArray[np.bool_]]:
 def spreads(effects: Effects) -> Floats:
     """Return ``float64 (L, options)``: range of an option's effects on a line, 0 where no level decides it."""
     found = np.zeros((len(effects.estimate), len(OPTIONS)))
-    for o, (start, end) in enumerate(zip(OFFSETS, OFFSETS[1:], strict=False)):
+    for o, (start, end) in enumerate(pairwise(OFFSETS)):
         decided = effects.decides[:, start:end].any(axis=1)
         if decided.any():
             part = effects.estimate[decided, start:end]
@@ -240,7 +241,7 @@ def draw_multiverse(judged: Judged, effects: Effects) -> Figure:
         figure.text(0.012, 0.938, "Bars: share of the readings (%).\nSquares: how an alternative moves the balance, "
                     "holds less fails (points);\ncoloured where it decides, at 5 % after Benjamini & Hochberg.",
                     fontsize=8, color=_MUTED, va="top", linespacing=1.35)  # fmt: skip
-        _legend(figure)
+        _legend(figure, 0.865)
     return figure
 
 
@@ -305,7 +306,7 @@ def _draw_cells(ax: Axes, effects: Effects, y: Sequence[float]) -> None:
                 if decides:
                     strong = abs(effects.estimate[at]) > 0.55 * _DARKEST
                     text = f"{100 * effects.estimate[at]:.0f}".replace("-", "−")
-                    ax.text(x + 0.47, y[line], text, ha="center", va="center", fontsize=5.8,
+                    ax.text(x + 0.47, y[line], text, ha="center", va="center", fontsize=5.5,
                             color="white" if strong else _INK)  # fmt: skip
             ax.text(x + 0.5, min(y) - 0.75, option.label(k), rotation=90, ha="center", va="bottom", fontsize=7,
                     color=_MUTED)  # fmt: skip
@@ -333,13 +334,13 @@ def _shade(effect: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _legend(figure: Figure) -> None:
+def _legend(figure: Figure, top: float) -> None:
     from matplotlib.patches import Patch
 
     figure.legend(
         handles=[Patch(color=_HOLDS, label="holds"), Patch(color=_OPEN, label="undecided"),
                  Patch(color=_FAILS, label="does not hold")],
-        loc="upper left", bbox_to_anchor=(0.005, 0.865), ncols=3, frameon=False, handlelength=1.2, fontsize=8.5,
+        loc="upper left", bbox_to_anchor=(0.005, top), ncols=3, frameon=False, handlelength=1.2, fontsize=8.5,
     )  # fmt: skip
 
 
@@ -352,20 +353,14 @@ def draw_rules(judged: Judged) -> Figure:
     with mpl.rc_context(_LOOK):
         figure = Figure(figsize=(11, 6.2))
         axes = figure.subplots(1, len(rules), squeeze=False, gridspec_kw={
-            "left": 0.25, "right": 0.985, "top": 0.87, "bottom": 0.02, "wspace": 0.12})[0]  # fmt: skip
+            "left": 0.235, "right": 0.985, "top": 0.87, "bottom": 0.02, "wspace": 0.12})[0]  # fmt: skip
         y = _rows()
         for ax, (name, rows) in zip(axes, rules.items(), strict=True):
             _draw_shares(ax, judged, y, rows)
             ax.set_ylim(max(y) + 0.6, min(y) - 1.6)
             ax.set_title(f"{name} ({rows.sum()} readings)", fontsize=9.5, color=_INK, pad=8)
-        for line, (claim, arm) in enumerate(LINES):
-            place = axes[0].get_yaxis_transform()
-            axes[0].text(-0.04, y[line], f"{SHORT[claim]}  {claim}", ha="right", va="center", color=_INK,
-                         transform=place)  # fmt: skip
-            if arm != LINES[line - 1][1]:
-                axes[0].text(-0.04, y[line] - 0.95, _TITLES[arm].split(":")[0], ha="right", va="center",
-                             color=_HOLDS, fontweight="bold", transform=place)  # fmt: skip
-        _legend(figure)
+        _name_lines(axes[0], y)
+        _legend(figure, 0.955)
     return figure
 
 
@@ -381,6 +376,7 @@ def draw_eleven(judged: Judged) -> Figure:
         kept = judged.kept.mean(axis=1)
         ax.hist([kept[rows] for rows in rules.values()], bins=np.linspace(0, 100, 41).tolist(), stacked=True,
                 label=list(rules), color=["#0072b2", "#56b4e9", "#e69f00", "#d55e00"][: len(rules)])  # fmt: skip
+        ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
         ax.axvline(11, color=_INK, linewidth=1.2)
         ax.annotate("the paper: 11", (11, ax.get_ylim()[1]), (6, -9), textcoords="offset points", color=_INK)
         ax.set_xlabel("trials of 100 in which direct learning keeps all robots (mean of a reading's runs)")
@@ -423,7 +419,7 @@ def _page(study: Multiverse, judged: Judged, effects: Effects, drawn: dict[str, 
     page.table(
         ["claim", "", "arm", "readings", "holds (%)", "undecided (%)", "fails (%)", "decided by (points)"],
         [
-            [claim, CLAIMS[claim].says, arm, int(count[i]), *(round(float(s), 1) for s in share[i]), deciding(effects, i)]
+            [claim, CLAIMS[claim].says, arm, int(count[i]), *share[i].round(1).tolist(), deciding(effects, i)]
             for i, (claim, arm) in enumerate(LINES)
         ],
     )
@@ -477,8 +473,8 @@ def eleven_line(judged: Judged) -> str:
     low, middle, high = np.quantile(kept, [0.05, 0.5, 0.95])
     parts = [f"{name}: {100 * (kept[rows] < 11).mean():.0f} %" for name, rows in by_rule(judged).items()]
     return (
-        f"Direct learning keeps all robots in {middle:.0f} of 100 trials under the median reading (5 to 95 %: {low:.0f} "
-        f"to {high:.0f}). The paper's 11 lies above {100 * (kept < 11).mean():.0f} % of the readings "
+        f"Direct learning keeps all robots in {middle:.0f} of 100 trials under the median reading (5 to 95 %: "
+        f"{low:.0f} to {high:.0f}). The paper's 11 lies above {100 * (kept < 11).mean():.0f} % of the readings "
         f"({'; '.join(parts)}) and above {100 * (judged.kept < 11).mean():.0f} % of all single runs."
     )
 

@@ -74,6 +74,16 @@ def test_the_claims_table_has_a_verdict_for_every_claim_and_preset(reproduction)
         assert float(row["low"]) <= float(row["estimate"]) <= float(row["high"])
 
 
+def test_the_summary_quotes_the_same_verdicts(reproduction):
+    text = (reproduction / "summary.md").read_text()
+    with open(reproduction / "claims.csv") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        cells = f"| {row['claim']} | {row['reading']} | {row['contrast']} |"
+        (line,) = [line for line in text.splitlines() if line.startswith(cells)]
+        assert f"| {row['verdict']} |" in line
+
+
 def test_the_rows_are_those_of_the_store_and_policies_load(reproduction):
     with Store.read(reproduction / FILE_NAME) as store:
         expected = sum(len(next(iter(c.values()))) for _, r in store.select() for c in r.stages.values())

@@ -157,6 +157,25 @@ def finding_rows(findings: Sequence[Finding]) -> list[list[Any]]:
 FINDING_HEADERS = ("claim", "preset", "contrast", "estimate [interval]", "holds if", "verdict", "p (Holm)", "note")
 
 
+def markdown_table(headers: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return a table as Markdown."""
+    lines = [headers, ["---"] * len(headers), *rows]
+    return "".join(f"| {' | '.join('' if value is None else str(value) for value in line)} |\n" for line in lines)
+
+
+def write_summary(
+    path: Path, samples: Mapping[str, Mapping[str, Sample]], findings: Sequence[Finding], command: str
+) -> None:
+    """Write the tables of the report as Markdown, for pages that quote them."""
+    parts = [f"Made by `{command}` (tasklift {tasklift.__version__}).\n"]
+    for reading, arms in samples.items():
+        parts.append(f"Preset {reading}, means over all cells:\n\n{markdown_table(*arm_table(arms))}")
+    columns = [f"{reading}, {arm}" for reading in samples for arm in GLANCED]
+    parts.append(markdown_table(["claim", "the paper", "where", *columns], glance_rows(findings, list(samples))))
+    parts.append(markdown_table(FINDING_HEADERS, finding_rows(findings)))
+    write_atomically(path, "\n".join(parts))
+
+
 def add_curves(report: Report, samples: Mapping[str, Sample], title: str) -> None:
     """Add Figure 4 as interactive curves: steps, robots left and teams left per trial, with 95 % bands."""
     for column, label, most in (

@@ -100,6 +100,7 @@ def reproduce(
         command = f"tasklift reproduce --maps {maps} --seeds {seeds} --trials {trials} --survey {survey} --out {out}"
         command += "" if arms == tuple(ARMS) else f" --arms '{';'.join(arms)}'"
         path = folder / "report.html"
+        report.write_summary(folder / "summary.md", samples, findings, command)
         _report(study, store, samples, surveys, findings, drawn, command).write(path)
         say(4, 4, "done")
     return path

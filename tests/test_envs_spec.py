@@ -41,7 +41,7 @@ def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     assert result.exception is None
     assert "curriculum against direct learning, 2 seeds" in result.output
     told = parse_json((out / "comparison.json").read_text(), "comparison")
-    assert len(told["findings"]) == 5
+    assert len(told["findings"]) == 6
     assert (out / "comparison.txt").read_text().strip() in result.output
     assert np.isfinite(Policy.load(out / "policy.json").weights).all()
 

@@ -318,12 +318,16 @@ def test_windows_of_steps() -> None:
 
 
 def test_a_comparison_says_what_paid() -> None:
-    comparison = compare(corridor_curriculum(), seeds=20, first=5)
+    comparison = compare(corridor_curriculum(), seeds=20, first=5, threshold=8)
     losses = comparison.finding("losses, all stages, equal total budget")
     assert losses.told == "helps"
     assert losses.curriculum < losses.direct
     assert comparison.finding("jumpstart (steps, first 5 trials)").told == "helps"
     assert comparison.ledger["open"] == 0
+    assert comparison.until is not None
+    assert comparison.until.curriculum < comparison.until.direct
+    assert comparison.until.curriculum_reached == 1
+    assert "median losses until 8 is reached" in str(comparison)
     assert "20 seeds" in str(comparison)
     assert comparison.to_json()["findings"][0]["verdict"] == "helps"
     assert comparison.policy.task == Corridor.task

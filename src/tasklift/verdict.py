@@ -7,7 +7,8 @@ the last task itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -49,11 +50,32 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Until:
+    """What was lost until a threshold of performance was reached: medians over seeds, earlier stages included.
+
+    A seed that never gets there counts as having lost more than it did (Kaplan-Meier); the median is infinite if
+    half of the seeds do not.
+    """
+
+    threshold: float
+    curriculum: float
+    direct: float
+    curriculum_reached: float  # share of seeds
+    direct_reached: float
+
+    def __str__(self) -> str:
+        arms = ((self.curriculum, self.curriculum_reached), (self.direct, self.direct_reached))
+        told = [f"{median:g} (reached by {share:.0%})" for median, share in arms]
+        return f"median losses until {self.threshold:g} is reached: {told[0]} against {told[1]}"
+
+
+@dataclass(frozen=True)
 class Comparison:
     """What a comparison came to.
 
     ``findings`` in the order of reports; ``ledger`` has the mean losses by stage; ``policy`` is the one that
-    the first seed learned through the curriculum; ``guards`` counts the guard's verdicts by stage.
+    the first seed learned through the curriculum; ``guards`` counts the guard's verdicts by stage;
+    ``until`` is what was lost until a threshold, if one was asked for.
     """
 
     seeds: int
@@ -61,6 +83,7 @@ class Comparison:
     ledger: dict[str, float]
     guards: dict[str, dict[str, int]]
     policy: Policy
+    until: Until | None = None
 
     def finding(self, name: str) -> Finding:
         """Return the finding of that name."""
@@ -76,6 +99,7 @@ class Comparison:
             "findings": [f.to_json() for f in self.findings],
             "losses_by_stage": self.ledger,
             "guards": self.guards,
+            "until": None if self.until is None else {n: _finite(v) for n, v in asdict(self.until).items()},
         }
 
     def __str__(self) -> str:
@@ -87,6 +111,8 @@ class Comparison:
                 f"difference {f.difference}   transfer {f.told}"
             )
         lines.append("  losses by stage: " + ", ".join(f"{s} {n:.1f}" for s, n in self.ledger.items()))
+        if self.until is not None:
+            lines.append(f"  {self.until}")
         for stage, counts in self.guards.items():
             lines.append(f"  guard of {stage!r}: " + ", ".join(f"{v} in {n}" for v, n in counts.items()))
         return "\n".join(lines)
@@ -100,6 +126,7 @@ def compare(
     performance: Performance | None = None,
     first: int = 10,
     last: int = 20,
+    threshold: float | None = None,
 ) -> Comparison:
     """Run a curriculum and direct learning over seeds and say, with intervals, whether transfer paid.
 
@@ -113,6 +140,8 @@ def compare(
         What is judged beside losses; default: returns where the world gives them, else steps.
     first, last
         Trials over which the jumpstart and the late performance are averaged.
+    threshold
+        Of performance: also report what is lost until the mean of ``first`` trials is that good.
 
     Notes
     -----
@@ -145,7 +174,37 @@ def compare(
         _mean_ledger([run.ledger for run in runs]),
         _guard_counts(runs),
         runs[0].policy,
+        None if threshold is None else _until(runs, lifted, plain, kind, first, threshold),
     )
+
+
+def _until(
+    runs: list[CurriculumRun],
+    lifted: list[Outcomes],
+    plain: list[Outcomes],
+    kind: Performance,
+    window: int,
+    threshold: float,
+) -> Until:
+    better: stats.Direction = "less" if kind == "steps" else "greater"
+
+    def times(arm: list[Outcomes], before: list[int]) -> stats.Times:
+        each = [
+            stats.losses_until_threshold(
+                o.losses[None], _curve(o, kind)[None], threshold, window=min(window, len(o)), source=b, better=better
+            )
+            for o, b in zip(arm, before, strict=True)
+        ]
+        return stats.Times(np.concatenate([t.time for t in each]), np.concatenate([t.reached for t in each]))
+
+    ours = times(lifted, [run.ledger.total - int(o.losses.sum()) for run, o in zip(runs, lifted, strict=True)])
+    theirs = times(plain, [0] * len(plain))
+    medians = stats.median_time(ours), stats.median_time(theirs)
+    return Until(threshold, *medians, float(ours.reached.mean()), float(theirs.reached.mean()))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _with_source(target: Any, trials: int, steps: int) -> Any:
@@ -207,8 +266,13 @@ def _findings(
         _finding(f"late {name} (last {last} trials)", curves(ended, late), curves(plain, late), better),
         _finding(f"late {name}, equal total budget", curves(ended, late), curves(longer, late), better),
         _finding("losses, target only", on_target, losses(plain), "less"),
+        _finding("losses per 1,000 steps, target only", _rates(lifted), _rates(plain), "less"),
         _finding("losses, all stages, equal total budget", everything, losses(longer), "less"),
     ]
+
+
+def _rates(arm: list[Outcomes]) -> NDArray[np.float64]:
+    return np.array([1000.0 * outcomes.losses.sum() / max(1, outcomes.steps.sum()) for outcomes in arm])
 
 
 def _finding(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64], better: stats.Direction) -> Finding:

@@ -83,6 +83,7 @@ def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:
             "performance?": str,
             "first?": int,
             "last?": int,
+            "threshold?": _NUMBER,
             "max_losses?": int,
             "block?": int,
             "best_by?": list,
@@ -155,7 +156,7 @@ def run_spec(
         chosen = seeds if seeds is not None else document.get("seeds", 20)
         identity = hashlib.sha256(canonical_json([document, chosen]).encode()).hexdigest()
         folder = None if out is None else _prepared(Path(out), identity)
-        options = {n: document[n] for n in ("performance", "first", "last") if n in document}
+        options = {n: document[n] for n in ("performance", "first", "last", "threshold") if n in document}
         comparison = compare(curriculum, seeds=chosen, **options)
     except TaskliftError as error:
         raise TaskliftError(f"{path}: {error}") from error

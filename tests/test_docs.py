@@ -12,12 +12,13 @@ from tasklift.building.mission import Reading
 from tasklift.learn import Reinforcement
 from tasklift.paper.arms import ARMS
 from tasklift.paper.claims import CLAIMS
+from tasklift.paper.study import GREEDY_TRIALS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 
 
-@pytest.mark.parametrize("page", ["index", "method", "simulator", "experiments"])
+@pytest.mark.parametrize("page", ["index", "method", "simulator", "experiments", "watch"])
 def test_code_blocks_run_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(), re.DOTALL)
@@ -73,6 +74,7 @@ def test_the_reading_names_every_arm_and_claim():
         assert f"`{arm}`" in text
     for claim in CLAIMS:
         assert f"| {re.match(r'C[0-9]+', claim)[0]} |" in text
+    assert f"runs {GREEDY_TRIALS} more trials" in text
 
 
 def test_links_between_pages_lead_somewhere():

@@ -1,6 +1,6 @@
 """Watching robots: trials as compact replay documents, and the page that plays them in a browser."""
 
-from tasklift.watch.page import page
-from tasklift.watch.replay import read, replay
+from tasklift.watch.document import read, replay
+from tasklift.watch.html import page
 
 __all__ = ["page", "read", "replay"]

@@ -74,7 +74,7 @@ def watch_command(source: Path, html: Path | None, json_file: Path | None, open_
     first.
     """
     from tasklift.files import canonical_json, write_atomically
-    from tasklift.watch.page import page
+    from tasklift.watch.html import page
 
     document = _document(source, **options)
     if json_file is not None:
@@ -92,7 +92,7 @@ def watch_command(source: Path, html: Path | None, json_file: Path | None, open_
 def _document(source: Path, **options: Any) -> dict[str, Any]:
     from tasklift.errors import TaskliftError
     from tasklift.files import parse_json, read_text
-    from tasklift.watch.replay import FORMAT, read, replay
+    from tasklift.watch.document import FORMAT, read, replay
 
     if not source.exists():
         raise TaskliftError(f"{source}: no such file or folder; expected an experiment, a building or a replay")

@@ -307,7 +307,7 @@ class Inspector {
     if (shares.length === 2) {
       const bar = make("div", { class: "split", "data-chances": first.name });
       shares.forEach((share, i) => {
-        const part = make("span", { "data-value": first.values[i], class: taken[0] === i ? "taken" : "" }, share > 0.12 ? `${first.labels[i] ?? first.values[i]} ${percent(share)}` : "");
+        const part = make("span", { "data-value": first.values[i], class: taken[0] === i ? "taken" : "" }, share > 0.22 ? `${first.labels[i] ?? first.values[i]} ${percent(share)}` : "");
         part.style.width = `${100 * share}%`;
         bar.append(part);
       });

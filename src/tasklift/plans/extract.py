@@ -27,6 +27,8 @@ from tasklift.plans.segment import (
 
 CORNER_DEGREES = 65.0
 DOOR_TOLERANCE_M = 0.75
+CORRIDOR_HALF_WIDTH_M = 2.0
+AXIS_M, STRAIGHT_M = 3.0, 0.1
 BEND_TOLERANCE_M = 0.6
 
 
@@ -61,6 +63,7 @@ def extract(
     say("tracing the corridors")
     graph = _draw(space, settings, region, openings, is_room)
     _name_bends(graph, space, settings)
+    _centre_nodes(graph, space)
     _no_parallels(graph)
     say("building the graph")
     return _to_building(plan, space, graph, region, measure, start, left_out)
@@ -374,6 +377,55 @@ def _taut(line: Points, free: NDArray[np.bool_]) -> Points:
             ahead -= 1
         kept.append(ahead)
     return line[corners[kept]]
+
+
+def _centre_nodes(graph: PathGraph, space: Space) -> None:
+    """Move junctions and bends to where the axes of their corridors meet.
+
+    A skeleton leaves the axis near a junction, towards the wider corridor; people do not.
+    """
+    for number, node in graph.nodes.items():
+        narrow = node.half <= CORRIDOR_HALF_WIDTH_M
+        if node.role not in ("path", "bend", "corner") or len(graph.incident[number]) < 2 or not narrow:
+            continue
+        clear = 1.2 * max(node.half, 0.5) / space.cell_m  # the part of a line that the junction deflects
+        normal, offset = [], []
+        for edge in graph.incident[number]:
+            axis = _axis(graph.line(edge, number), clear, space)
+            if axis is not None:
+                normal.append(axis[0])
+                offset.append(axis[1])
+        if len(normal) < 2:
+            continue
+        at, n = np.array(node.at), np.array(normal)
+        # least squares, held where it is along the axes that all share; they miss where corridors are crooked
+        u, size, v = np.linalg.svd(n, full_matrices=False)
+        steps = np.where(size > 0.4, (u.T @ (np.array(offset) - n @ at)) / np.maximum(size, 1e-9), 0)
+        moved = at + steps @ v
+        cell = tuple(int(c) for c in np.rint(moved))
+        far = float(np.hypot(*(moved - at))) * space.cell_m > max(1.0, node.half)
+        if far or min(cell) < 0 or cell[0] >= space.free.shape[0] or cell[1] >= space.free.shape[1]:
+            continue
+        if np.abs(n @ moved - offset).max() * space.cell_m > 0.4 or not space.free[cell]:
+            continue
+        graph.move(number, (float(moved[0]), float(moved[1])), clear)
+
+
+def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float] | None:
+    """Normal and offset of the straight corridor along which ``line`` leaves its first point, or ``None``."""
+    along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    part = line[(along >= clear) & (along <= clear + AXIS_M / space.cell_m)]
+    if len(part) < 2 or np.hypot(*(part[-1] - part[0])) * space.cell_m < 0.3 * AXIS_M:
+        return None
+    width = space.half_width_m[tuple(np.rint(part).astype(int).T)]
+    if np.ptp(width) > 0.3 * width.mean():
+        return None
+    middle = part.mean(axis=0)
+    _, spread, direction = np.linalg.svd(part - middle, full_matrices=False)
+    if spread[1] / np.sqrt(len(part)) * space.cell_m > STRAIGHT_M:
+        return None
+    normal = np.array([-direction[0, 1], direction[0, 0]])
+    return normal, float(normal @ middle)
 
 
 def _turn(before: Points, here: Points, after: Points) -> float:

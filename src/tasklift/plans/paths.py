@@ -150,6 +150,19 @@ class PathGraph:
         keeper.half = max(keeper.half, giver.half)
         self.remove_node(give)
 
+    def move(self, node: int, at: tuple[float, float], clear: float) -> None:
+        """Move a node; its lines go straight there from where they are ``clear`` of its old place."""
+        for edge in list(self.incident[node]):
+            a, b, line = self.edges[edge]
+            if a == b:
+                continue
+            line = self.line(edge, node)
+            along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+            kept = line[max(1, min(int(np.searchsorted(along, clear)), len(line) - 1)) :]
+            line = np.concatenate([[at], kept])
+            self.edges[edge] = (a, b, line if a == node else line[::-1])
+        self.nodes[node].at = at
+
     def split(self, edge: int, index: int, node: Node) -> int:
         """Put ``node`` at point ``index`` of an edge's line; returns its number."""
         a, b, line = self.edges[edge]

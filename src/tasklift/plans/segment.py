@@ -71,10 +71,12 @@ class Settings:
     corridor_door_ratio: float = 0.65
     frame_m: float = 1.75
     leaf_m: float = 1.1
-    deep_frame_m: float = 2.5
-    through_elongation: float = 1.7
+    deep_frame_m: float = 3.0
+    through_elongation: float = 1.6
     mouth_elongation: float = 1.4
-    bend_degrees: float = 35.0
+    mouth_share: float = 0.52
+    hall_half_width_m: float = 1.8
+    bend_degrees: float = 25.0
 
 
 @dataclass(eq=False)
@@ -193,7 +195,7 @@ def _choose(
         votes[0] = 0
         if not votes.any():
             raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
-        return np.equal(label, np.argmax(votes))
+        return np.asarray(label == np.argmax(votes))
     # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
     edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
     outdoors = np.bincount(edge, minlength=n + 1) > 0.25 * len(edge)
@@ -210,7 +212,7 @@ def _choose(
             f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
             f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
         )
-    return np.equal(label, best)
+    return np.asarray(label == best)
 
 
 def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening], Regions, NDArray[np.bool_]]:
@@ -230,24 +232,24 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
     basin, peak = _number_tops(top, half)
     a, b, height, where = _passes(basin, half)
     joined = height >= 0.95 * np.maximum(peak[a], peak[b])
+    narrow = 2 * height < settings.door_width_m
+    narrow &= height < settings.door_ratio * np.maximum(peak[a], peak[b])
+    perhaps = where[narrow]
     group = _join(len(peak), a[joined], b[joined])
     basin = group[basin]
     merged_peak = np.zeros(group.max() + 1, np.float32)
     np.maximum.at(merged_peak, group, peak)
     a, b, height, where = _passes(basin, half)
-    root, narrow = _merge(space, settings, basin, merged_peak, (a, b, height, where))
+    root = _merge(space, settings, basin, merged_peak, (a, b, height, where))
     region = _tidy(space, settings, root[basin])
     openings = _openings(space, settings, region)
     measure = measure_regions(space, region, openings)
     is_room = measure.rooms(settings)
-    openings += _inner_doors(space, settings, region, where[narrow])
+    openings += _inner_doors(space, settings, region, perhaps, openings)
     for opening in openings:
         if opening.is_door and not is_room[list(opening.regions)].any():
             # corridors vary in width: only a marked narrowing is a door in one
-            sides, labels = _sides(space, region, opening)
-            opening.is_door = _is_door(
-                settings, space, labels, opening.pixel, sides, opening.width_m, settings.corridor_door_ratio
-            )
+            opening.is_door = _is_door(settings, space, region, opening, settings.corridor_door_ratio)
     openings = [o for o in openings if o.is_door or o.regions[0] != o.regions[1]]
     return region, openings, measure, is_room
 
@@ -319,35 +321,31 @@ def _merge(
     basin: NDArray[np.int32],
     peak: NDArray[np.float32],
     passes: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]],
-) -> tuple[NDArray[np.int32], list[int]]:
+) -> NDArray[np.int32]:
     """Join neighbouring basins over their passes, widest first, unless the pass is a narrow place.
 
-    Returns the region of each basin, and which passes were narrow between their neighbours, though there may
-    be another way around.
+    Returns the region of each basin.
     """
     half = space.half_width_m
     root = np.arange(len(peak), dtype=np.int32)
     peak = peak.copy()
     reach = int(np.ceil(settings.near_m / space.cell_m))
     width = half.shape[1]
-    narrow = []
     for k in np.argsort(-passes[2], kind="stable").tolist():
         p, q = root[passes[0][k]], root[passes[1][k]]
+        height = passes[2][k]
         if p == q:
             continue
-        height = passes[2][k]
         if settings.door_rule == "absolute":
             apart = 2 * height < settings.door_width_m and height < 0.95 * min(peak[p], peak[q])
         else:
             near = _near(half, root, basin, divmod(int(passes[3][k]), width), (p, q), reach)
             apart = height < settings.door_ratio * near
-            if apart:
-                narrow.append(k)
             apart = apart or height < settings.mouth_ratio * max(peak[p], peak[q])
         if not apart:
             root[root == q] = p
             peak[p] = max(peak[p], peak[q])
-    return np.unique(root, return_inverse=True)[1].astype(np.int32), narrow
+    return np.unique(root, return_inverse=True)[1].astype(np.int32)
 
 
 def _near(
@@ -364,49 +362,45 @@ def _near(
     return min(float(half[box][owner == side].max(initial=0)) for side in sides)
 
 
-def _is_door(
-    settings: Settings,
-    space: Space,
-    region: NDArray[Any],
-    pixel: tuple[int, int],
-    sides: tuple[int, int],
-    opening_m: float,
-    ratio: float,
-) -> bool:
+def _is_door(settings: Settings, space: Space, region: NDArray[np.int32], opening: Opening, ratio: float) -> bool:
     """Whether a narrow place is a door: the space on both sides is wider by ``ratio``, soon enough."""
-    half = space.half_width_m
-    wide = opening_m / 2 / ratio + space.cell_m / 2
     reach = int(np.ceil(settings.deep_frame_m / space.cell_m))
-    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in pixel)
-    roomy = half[box] >= wide
+    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in opening.pixel)
+    side = _sides(space, region[box], opening, (box[0].start, box[1].start))
+    if side is None or opening.width_m >= settings.door_width_m:
+        return False
+    roomy = space.half_width_m[box] >= opening.width_m / 2 / ratio + space.cell_m / 2
     depth = 0.0
-    for side in sides:
-        rows, columns = np.nonzero(roomy & (region[box] == side))
+    for number in (1, 2):
+        rows, columns = np.nonzero(roomy & (side == number))
         if not len(rows):
             return False
-        away = np.hypot(rows + box[0].start - pixel[0], columns + box[1].start - pixel[1])
+        away = np.hypot(rows + box[0].start - opening.pixel[0], columns + box[1].start - opening.pixel[1])
         depth += float(away.min()) * space.cell_m
-    most = settings.deep_frame_m if opening_m <= settings.leaf_m else settings.frame_m
-    return opening_m < settings.door_width_m and depth <= most
+    return depth <= (settings.deep_frame_m if opening.width_m <= settings.leaf_m else settings.frame_m)
 
 
-def _sides(space: Space, region: NDArray[np.int32], opening: Opening) -> tuple[tuple[int, int], NDArray[Any]]:
-    """Labels for the two sides of an opening: its regions, or the two sides of the line across it."""
-    if opening.regions[0] != opening.regions[1]:
-        return opening.regions, region
+def _sides(
+    space: Space, region: NDArray[np.int32], opening: Opening, corner: tuple[int, int]
+) -> NDArray[np.int8] | None:
+    """1 and 2 on the two sides of an opening: its regions, or the two sides of the line across it.
+
+    ``region`` is the part of the regions that begins at ``corner``.
+    """
+    a, b = opening.regions
+    if a != b:
+        return (region == a).astype(np.int8) + 2 * (region == b).astype(np.int8)
     row, column = opening.pixel
     across = jambs(space.free, opening.pixel, float(space.half_width_m[row, column]) / space.cell_m)
     if across is None:
-        return (-1, -1), region
+        return None
     ahead = np.array([across[0][1] - across[1][1], across[1][0] - across[0][0]], float)
-    reach = 80
-    label = np.zeros_like(region)
-    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in opening.pixel)
-    rows, columns = np.nonzero(region[box] == opening.regions[0])
-    beyond = (rows + box[0].start - row) * ahead[0] + (columns + box[1].start - column) * ahead[1]
-    label[box][rows[beyond > 0], columns[beyond > 0]] = 1
-    label[box][rows[beyond < 0], columns[beyond < 0]] = 2
-    return (1, 2), label
+    rows, columns = np.indices(region.shape)
+    rows, columns = rows + corner[0] - row, columns + corner[1] - column
+    # straight ahead, give or take 45 degrees: what lies aside belongs to neither side
+    share = (rows * ahead[0] + columns * ahead[1]) / np.hypot(*ahead)
+    beyond = np.abs(share) >= 0.7 * np.hypot(rows, columns)
+    return ((region == a) * beyond * np.where(share > 0, 1, np.where(share < 0, 2, 0))).astype(np.int8)
 
 
 def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -448,7 +442,7 @@ class Regions:
 
     ``elongation`` is the area over that of the square around the largest circle in it: about how many times it
     is longer than wide. ``openness`` is the share of its border that is open without being a door, were it a
-    square; ``exits`` the number of its openings.
+    square; ``exits`` the number of its openings; ``mouth`` the widest that is no door, over the largest width.
     """
 
     area_m2: NDArray[np.float64]
@@ -456,6 +450,7 @@ class Regions:
     elongation: NDArray[np.float64]
     openness: NDArray[np.float64]
     exits: NDArray[np.int64]
+    mouth: NDArray[np.float64]
 
     def rooms(self, settings: Settings) -> NDArray[np.bool_]:
         """Which regions are rooms; the others are corridors."""
@@ -467,6 +462,7 @@ class Regions:
             & (self.peak_m >= settings.room_half_width_m)
             & (self.openness <= settings.room_openness)
             & (self.elongation <= longest)
+            & ~((self.exits >= 2) & (self.peak_m < settings.hall_half_width_m) & (self.mouth > settings.mouth_share))
         )
 
 
@@ -477,12 +473,15 @@ def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Open
     peak: NDArray[Any] = np.zeros(n)
     np.maximum.at(peak, region.ravel(), space.half_width_m.ravel())
     area[0], peak[0] = 0, 1
-    open_m, exits = np.zeros(n), np.zeros(n, np.int64)
+    open_m, widest, exits = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
     for opening in openings:
         for r in opening.regions:
             exits[r] += 1
-            open_m[r] += 0 if opening.is_door else opening.width_m
-    return Regions(area, peak, area / (2 * peak) ** 2, open_m / np.maximum(4 * np.sqrt(area), 1e-9), exits)
+            if not opening.is_door:
+                open_m[r] += opening.width_m
+                widest[r] = max(widest[r], opening.width_m)
+    openness = open_m / np.maximum(4 * np.sqrt(area), 1e-9)
+    return Regions(area, peak, area / (2 * peak) ** 2, openness, exits, widest / (2 * peak))
 
 
 def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> list[Opening]:
@@ -518,31 +517,46 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
             pixel = int(r[best]), int(c[best])
             # half a cell less on either side: the wall begins at the edge of its first cell
             opening = 2 * float(half[r[best] * width + c[best]]) - space.cell_m
-            is_door = _is_door(settings, space, region, pixel, pair, opening, settings.frame_ratio)
-            found.append(Opening(pixel, pair, opening, is_door))
+            found.append(Opening(pixel, pair, opening, False))
+            found[-1].is_door = _is_door(settings, space, region, found[-1], settings.frame_ratio)
     return found
 
 
 def _inner_doors(
-    space: Space, settings: Settings, region: NDArray[np.int32], passes: NDArray[np.int64]
+    space: Space,
+    settings: Settings,
+    region: NDArray[np.int32],
+    passes: NDArray[np.int64],
+    others: list[Opening],
 ) -> list[Opening]:
-    """Doors with the same region on both sides: narrow places between two walls, not beside furniture."""
+    """Doors with the same region on both sides: narrow places between two walls, not beside furniture.
+
+    Only the narrowest of several close to each other, and none close to the ``others``.
+    """
     from scipy import ndimage
 
     label, n = ndimage.label(~space.free, structure=_EIGHT)
     extent = np.zeros(n + 1)
     for i, (rows, columns) in enumerate(ndimage.find_objects(label), start=1):
         extent[i] = max(rows.stop - rows.start, columns.stop - columns.start) * space.cell_m
-    found = []
-    for row, column in zip(*(v.tolist() for v in np.divmod(passes, region.shape[1])), strict=True):
-        half = float(space.half_width_m[row, column])
+    taken = [opening.pixel for opening in others]
+    found: list[Opening] = []
+    half = space.half_width_m.ravel()[passes].astype(float)
+    for k in np.argsort(half, kind="stable").tolist():
+        row, column = (int(v) for v in divmod(int(passes[k]), region.shape[1]))
         number = int(region[row, column])
-        opening = Opening((row, column), (number, number), 2 * half - space.cell_m, True)
-        if opening.width_m < settings.narrowest_m:
+        opening = Opening((row, column), (number, number), 2 * half[k] - space.cell_m, True)
+        if not settings.narrowest_m <= opening.width_m <= settings.leaf_m:
             continue
-        across = jambs(space.free, (row, column), half / space.cell_m)
-        if across is not None and min(extent[label[end]] for end in across) >= settings.wall_m:
+        near = np.array(taken, float).reshape(-1, 2) - (row, column)
+        if len(near) and np.hypot(*near.T).min() * space.cell_m < settings.frame_m:
+            continue
+        across = jambs(space.free, (row, column), half[k] / space.cell_m)
+        if across is None or min(extent[label[end]] for end in across) < settings.wall_m:
+            continue
+        if _is_door(settings, space, region, opening, settings.corridor_door_ratio):
             found.append(opening)
+            taken.append(opening.pixel)
     return found
 
 
@@ -551,7 +565,7 @@ def jambs(
 ) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """The two wall cells between which a narrow place lies: the nearest one, and the one across.
 
-    ``half`` is the distance of the first (cells); ``None`` if nothing is across within 2.5 times that.
+    ``half`` is the distance of the first (cells); ``None`` if nothing is across within 1.5 times that.
     """
     reach = int(np.ceil(half)) + 1
     low = [max(0, v - reach) for v in pixel]
@@ -561,7 +575,7 @@ def jambs(
     offset = np.column_stack([rows + low[0] - pixel[0], columns + low[1] - pixel[1]])
     v = offset[np.argmin((offset**2).sum(axis=1))]
     first = (int(pixel[0] + v[0]), int(pixel[1] + v[1]))
-    for step in np.arange(1.0, 2.5 * np.hypot(*v), 0.5):
+    for step in np.arange(1.0, 1.5 * np.hypot(*v) + 1.5, 0.5):
         at = np.rint(np.array(pixel) - step * v / np.hypot(*v)).astype(int)
         if (at < 0).any() or (at >= free.shape).any():
             return None

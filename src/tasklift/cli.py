@@ -143,6 +143,45 @@ def multiverse(**options: Any) -> None:
     click.echo(f"report: {report}")
 
 
+def _numbers(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple[int, ...]:
+    first, dash, last = text.partition("-")
+    if not first.strip().isdigit() or (dash and not last.strip().isdigit()):
+        raise click.BadParameter(f"expected a number or a range such as 1-5, found {text!r}")
+    numbers = tuple(range(int(first), int(last if dash else first) + 1))
+    if not numbers or numbers[0] < 1:
+        raise click.BadParameter(f"expected a range that begins at 1 or later and ends no earlier, found {text!r}")
+    return numbers
+
+
+@cli.command()
+@click.option("--maps", type=_positive, default=12, show_default=True, help="Generated buildings.")
+@click.option("--seeds", type=_positive, default=50, show_default=True, help="Seeds per building, main result.")
+@click.option("--hostiles", default="1-5", show_default=True, callback=_numbers, help="A number or a range.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("drills"),
+    show_default=True,
+    help="Folder for the report; the same command resumes there.",
+)
+@click.option("--page", type=click.Path(path_type=Path), help="A Markdown page with marks to put the results between.")
+@click.option("--choose", is_flag=True, help="Instead, compare ways of drilling on other maps, and name the best.")
+@_experiment_options
+def drills(choose: bool, **options: Any) -> None:
+    """Measure drills: hostiles that repel, then T, against direct learning at equal total trials."""
+    from tasklift.paper import drill_report
+
+    with _progress() as progress:
+        if choose:
+            line, table = drill_report.choose(out=options["out"], workers=options["workers"], progress=progress)
+            rest: tuple[Any, ...] = (table,)
+        else:
+            line, report = drill_report.drills(progress=progress, **options)
+            rest = ()
+    _print(*rest)
+    click.echo(line if choose else f"{line}\nreport: {report}")
+
+
 @cli.command()
 @click.argument("building", type=click.Path(path_type=Path))
 @click.option("--team", default="10+5", show_default=True, callback=_team, help="Scouts+weapon robots.")

@@ -99,7 +99,8 @@ def draw(n: int, seed: int = 0) -> NDArray[np.int64]:
     """Return ``int64 (n, options)``: a level of every option for each of ``n`` readings.
 
     A Latin hypercube, improved by swaps to a small centred discrepancy: the levels of an option are equally
-    frequent (but for a remainder of one), those of two options together nearly so. Other seeds, other readings; the design itself is part of the experiment's specification.
+    frequent (but for a remainder of one), those of two options together nearly so. Other seeds give other
+    readings; the design itself is part of the experiment's specification.
     """
     from scipy.stats import qmc
 

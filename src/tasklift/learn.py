@@ -10,6 +10,7 @@ Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import Any, Literal, Protocol, get_args, get_type_hints
 
 import numpy as np
@@ -27,6 +28,9 @@ BUDGET_STAGE = 3
 DRILL_STAGE = 4
 GREEDY_STAGE = 5
 """Stages are part of every random key, so that no two stages of an experiment share their chances."""
+
+
+_hints = cache(get_type_hints)  # slow, and settings are made by the thousand
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class Reinforcement:
     loss_signal: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, hint in get_type_hints(type(self)).items():
+        for name, hint in _hints(type(self)).items():
             value, allowed = getattr(self, name), get_args(hint)
             if allowed and value not in allowed:
                 raise TaskliftError(

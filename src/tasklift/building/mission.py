@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from tasklift.building.simulator import SearchOutcomes, Simulator
 
 
+_hints = cache(get_type_hints)  # slow, and readings are made by the thousand
+
+
 @dataclass(frozen=True, order=True)
 class Kind:
     """A kind of robot.
@@ -102,7 +105,7 @@ class Reading:
     search_rate_m2: float = 4.0
 
     def __post_init__(self) -> None:
-        for name, hint in get_type_hints(type(self)).items():
+        for name, hint in _hints(type(self)).items():
             value = getattr(self, name)
             options = get_args(hint)
             if options and value not in options:

@@ -68,7 +68,7 @@ class Reinforcement:
     loss_signal: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, hint in _hints(type(self)).items():
+        for name, hint in _hints(Reinforcement).items():
             value, allowed = getattr(self, name), get_args(hint)
             if allowed and value not in allowed:
                 raise TaskliftError(

@@ -105,7 +105,7 @@ class Reading:
     search_rate_m2: float = 4.0
 
     def __post_init__(self) -> None:
-        for name, hint in _hints(type(self)).items():
+        for name, hint in _hints(Reading).items():
             value = getattr(self, name)
             options = get_args(hint)
             if options and value not in options:

@@ -413,7 +413,7 @@ def drills(
         picture, _ = figures.save(drawn, folder, "drills")
         text = markdown(says, tables, plan)
         write_atomically(folder / "drills.md", text)
-        spans = f"{hostiles[0]}-{hostiles[-1]}"
+        spans = f"{hostiles[0]}-{hostiles[-1]}" if len(hostiles) > 1 else f"{hostiles[0]}"
         command = f"tasklift drills --maps {maps} --seeds {seeds} --hostiles {spans} --out {out}"
         _report(says, tables, plan, picture, store, command).write(folder / "report.html")
     if page is not None:

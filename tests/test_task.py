@@ -42,9 +42,7 @@ def paper_task() -> Task:
 
 def paper_simple() -> Task:
     """Table II."""
-    return paper_task().simplify(
-        fix={"DL": 0, "GL": 0}, name="V", signals=[Signal(-0.2, {"MV": 0})], time_reward=0.2
-    )
+    return paper_task().simplify(fix={"DL": 0, "GL": 0}, name="V", signals=[Signal(-0.2, {"MV": 0})], time_reward=0.2)
 
 
 def small_tasks() -> st.SearchStrategy[Task]:
@@ -142,6 +140,7 @@ def test_index_maps_are_exact(data: st.DataObject) -> None:
         inside &= all(values[n] == v for n, v in simple.fixed.items() if n in values)
         expected = simple.input_index({n: values[n] for n in kept}) if inside else -1
         assert simple.input_map[s] == expected
+        assert simple.row_of(values) == expected
     for a in range(simple.shape[1]):
         fixed = {v.name: simple.fixed[v.name] for v in task.outputs if v.name in simple.fixed}
         assert task.output_values(int(simple.output_map[a])) == simple.output_values(a) | fixed

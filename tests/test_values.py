@@ -115,9 +115,7 @@ def test_what_a_learner_carries_is_saved_and_extended(tmp_path: Path) -> None:
 
 
 @PROPERTY
-@given(
-    st.lists(st.floats(-50, 50), min_size=1, max_size=6), st.floats(0, 1), st.sampled_from([0.0, 0.1, 3.0])
-)
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=6), st.floats(0, 1), st.sampled_from([0.0, 0.1, 3.0]))
 def test_chances_are_a_distribution(values: list[float], epsilon: float, temperature: float) -> None:
     row, out = np.array(values), np.empty(len(values))
     rules.chances(row, epsilon, temperature, out)
@@ -162,6 +160,20 @@ def test_exact_values_agree_with_many_trials(seed: int) -> None:
     # five standard errors: below one false alarm in 10^6 per case
     assert abs(returns.mean() - exact) < 5 * returns.std() / np.sqrt(600) + 1e-9
     assert exact <= model.optimum(steps=15) + 1e-9
+
+
+@pytest.mark.parametrize(("rule", "epsilon"), [("q-learning", 0.5), ("sarsa", 0.5), ("expected-sarsa", 0.5)])
+def test_learners_settle_on_the_exact_values(rule: str, epsilon: float) -> None:
+    # Q-learning learns the best policy's values, the other two those of the best policy that explores as they do
+    model = random_model(17, limit=200)
+    task = Task("seen", (Variable("x", range(6)),), model.task.outputs)
+    model = replace(model, task=task, rows=np.arange(6))
+    learning = ValueLearning(rule, step_size=1e-4, step_power=0.75, discount=0.8, epsilon=epsilon)
+    learned = learn_values(model, trials=25_000, seed=1, learning=learning).policy
+    exact = model.action_values(discount=0.8, epsilon=0.0 if rule == "q-learning" else epsilon)
+    other = model.action_values(discount=0.8, epsilon=epsilon if rule == "q-learning" else 0.0)
+    assert np.abs(learned.weights - exact).mean() < 0.05
+    assert np.abs(learned.weights - exact).mean() < 0.3 * np.abs(learned.weights - other).mean()
 
 
 # -- reinforcement of weights, on any world ------------------------------------------------------------------

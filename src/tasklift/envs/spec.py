@@ -50,7 +50,7 @@ from tasklift.files import canonical_json, check_fields, parse_json, read_text, 
 from tasklift.guard import Guard
 from tasklift.learn import Reinforcement
 from tasklift.prior import Prior, invert, scale, set_weight, swap
-from tasklift.task import Signal, Task, Variable
+from tasklift.task import LARGEST_TABLE, Signal, Task, Variable
 from tasklift.transfer import Curriculum, Stage
 from tasklift.values import ValueLearning
 from tasklift.verdict import Comparison, compare
@@ -230,7 +230,7 @@ def _learner(data: Mapping[str, Any], where: str) -> Reinforcement | ValueLearni
 
 
 def _prior(data: Any, where: str) -> Prior:
-    if not isinstance(data, dict) or data.get("operation") not in _PRIORS:
+    if not isinstance(data, dict) or str(data.get("operation")) not in _PRIORS:
         raise TaskliftError(f"{where}: a prior has an operation: {', '.join(_PRIORS)}; found {data!r}")
     rest = {name: value for name, value in data.items() if name != "operation"}
     try:
@@ -248,8 +248,8 @@ def _variables(data: Mapping[str, Any], where: str) -> tuple[Variable, ...]:
     found = []
     for name, values in data.items():
         if isinstance(values, int) and not isinstance(values, bool):
-            if values < 1:
-                raise TaskliftError(f"{where}: {name!r} needs at least one value, found {values}")
+            if not 1 <= values <= LARGEST_TABLE:
+                raise TaskliftError(f"{where}: {name!r} needs from one to {LARGEST_TABLE:,} values, found {values}")
             found.append(Variable(name, tuple(range(values))))
         elif isinstance(values, list):
             found.append(Variable(name, tuple(values)))

@@ -137,6 +137,7 @@ class Player {
       stage.style.gridTemplateColumns = `repeat(${best}, minmax(0, 1fr))`;
       for (const panel of this.panels) panel.plan.style.flex = "";
     }
+    this.seat();
     for (const { plan, scene } of this.panels) scene.resize(plan.clientWidth, plan.clientHeight);
     this.timeline.draw();
     this.redraw();
@@ -178,13 +179,22 @@ class Player {
       panel.scene.selected = i === j ? this.selected : -1;
     });
     this.log.fill();
+    this.seat();
     this.redraw();
   }
 
   select(r) {
     this.selected = r;
     for (const panel of this.panels) panel.scene.selected = panel === this.active ? r : -1;
+    this.seat();
     this.redraw();
+  }
+
+  /** Where there is no room for a column, what a robot thinks stands below its panel. */
+  seat() {
+    const { element } = this.inspector, wanted = NARROW.matches ? this.active.element : byId("log");
+    if (NARROW.matches && wanted.nextSibling !== element) wanted.after(element);
+    else if (!NARROW.matches && wanted.previousElementSibling !== element) wanted.before(element);
   }
 
   visit(event) {
@@ -227,11 +237,14 @@ class Player {
   show() {
     document.body.classList.toggle("zoomed", this.view.zoom > 1);
     for (const panel of this.panels) panel.show(this.time);
-    const t = Math.floor(this.time);
-    byId("scrub").value = t;
-    byId("step").replaceChildren(`step ${t} `, make("small", {}, `of ${this.last}`));
     this.timeline.show(this.time);
-    this.log.show(t);
+    const t = Math.floor(this.time);
+    if (t !== this.shown) {
+      byId("scrub").value = t;
+      byId("step").replaceChildren(`step ${t} `, make("small", {}, `of ${this.last}`));
+      this.log.show(t);
+      this.shown = t;
+    }
     this.inspector.show(t);
   }
 }

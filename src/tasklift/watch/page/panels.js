@@ -20,7 +20,7 @@ const NAMES = {
 class Panel {
   constructor(trace, view, plan, kinds) {
     this.trace = trace;
-    this.canvas = make("canvas", { role: "img" });
+    this.canvas = make("canvas", { role: "img", "aria-label": `Floor plan: ${trace.label}` });
     this.tip = make("div", { class: "tip", hidden: "" });
     this.chip = make("span", { class: "chip" });
     this.plan = make("div", { class: "plan" }, this.canvas, this.tip);
@@ -49,7 +49,14 @@ class Panel {
   }
 
   show(time) {
-    const { trace } = this, t = Math.min(Math.floor(time), trace.F - 1), n = trace.numbers(t), { values } = this;
+    const { trace } = this, t = Math.min(Math.floor(time), trace.F - 1);
+    if (t !== this.shown) this.tell(t);
+    this.shown = t;
+    this.scene.draw(time);
+  }
+
+  tell(t) {
+    const { trace, values } = this, n = trace.numbers(t);
     values.explored.textContent = percent(n.explored);
     this.counts.forEach((count, i) => { count.textContent = n.byKind[i]; });
     values.teams.textContent = n.teams;
@@ -60,7 +67,6 @@ class Panel {
     values.hostiles.textContent = n.hostiles;
     this.chip.textContent = { "": `step ${t}`, done: `done in ${t} steps`, "all lost": `all lost at step ${t}`, "out of time": "out of time" }[n.outcome];
     this.chip.className = `chip ${{ done: "done", "all lost": "lost", "out of time": "late" }[n.outcome] || ""}`;
-    this.scene.draw(time);
   }
 }
 

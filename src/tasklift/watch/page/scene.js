@@ -611,10 +611,11 @@ class Scene {
   }
 
   drawRobots() {
-    const { pen, trace, frame } = this, size = this.size();
+    const { pen, trace, frame, ratio } = this, size = this.size();
+    const whole = (v) => (trace.R > 60 ? Math.round(v * ratio) / ratio : v); // crowds on whole pixels: much faster
     for (const { r, x, y } of this.drawn) {
       const { canvas, half } = this.sprite(trace.kindOf[r], trace.at("danger", r, frame), size);
-      pen.drawImage(canvas, x - half, y - half, 2 * half, 2 * half);
+      pen.drawImage(canvas, whole(x - half), whole(y - half), 2 * half, 2 * half);
       if (r === this.selected) {
         pen.strokeStyle = palette.accent;
         pen.lineWidth = 2.5;

@@ -161,7 +161,8 @@ def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
     height, width = (-(-n // factor) * factor for n in free.shape)
     padded = np.zeros((height, width), bool)
     padded[: free.shape[0], : free.shape[1]] = free
-    return padded.reshape(height // factor, factor, width // factor, factor).all(axis=(1, 3))
+    blocks = padded.reshape(height // factor, factor, width // factor, factor)
+    return np.asarray(blocks.all(axis=(1, 3)))
 
 
 def _fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
@@ -195,7 +196,8 @@ def _choose(
         votes[0] = 0
         if not votes.any():
             raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
-        return np.asarray(label == np.argmax(votes))
+        chosen: NDArray[np.bool_] = np.isin(label, np.argmax(votes))
+        return chosen
     # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
     edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
     outdoors = np.bincount(edge, minlength=n + 1) > 0.25 * len(edge)
@@ -212,7 +214,7 @@ def _choose(
             f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
             f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
         )
-    return np.asarray(label == best)
+    return np.isin(label, best)
 
 
 def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening], Regions, NDArray[np.bool_]]:
@@ -245,11 +247,13 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
     openings = _openings(space, settings, region)
     measure = measure_regions(space, region, openings)
     is_room = measure.rooms(settings)
+    if not openings:
+        is_room[:] = False  # one space alone: its inner structure is all there is
     openings += _inner_doors(space, settings, region, perhaps, openings)
     for opening in openings:
         if opening.is_door and not is_room[list(opening.regions)].any():
             # corridors vary in width: only a marked narrowing is a door in one
-            opening.is_door = _is_door(settings, space, region, opening, settings.corridor_door_ratio)
+            opening.is_door = _is_door(settings, space, region, opening, True)
     openings = [o for o in openings if o.is_door or o.regions[0] != o.regions[1]]
     return region, openings, measure, is_room
 
@@ -362,8 +366,19 @@ def _near(
     return min(float(half[box][owner == side].max(initial=0)) for side in sides)
 
 
-def _is_door(settings: Settings, space: Space, region: NDArray[np.int32], opening: Opening, ratio: float) -> bool:
-    """Whether a narrow place is a door: the space on both sides is wider by ``ratio``, soon enough."""
+def _is_door(
+    settings: Settings,
+    space: Space,
+    region: NDArray[np.int32],
+    opening: Opening,
+    in_corridor: bool,
+) -> bool:
+    """Whether a narrow place is a door: the space on both sides is wider, soon enough."""
+    ratio, most = settings.frame_ratio, settings.frame_m
+    if in_corridor:
+        ratio = settings.corridor_door_ratio
+    elif opening.width_m <= settings.leaf_m:
+        most = settings.deep_frame_m
     reach = int(np.ceil(settings.deep_frame_m / space.cell_m))
     box = tuple(slice(max(0, v - reach), v + reach + 1) for v in opening.pixel)
     side = _sides(space, region[box], opening, (box[0].start, box[1].start))
@@ -377,7 +392,7 @@ def _is_door(settings: Settings, space: Space, region: NDArray[np.int32], openin
             return False
         away = np.hypot(rows + box[0].start - opening.pixel[0], columns + box[1].start - opening.pixel[1])
         depth += float(away.min()) * space.cell_m
-    return depth <= (settings.deep_frame_m if opening.width_m <= settings.leaf_m else settings.frame_m)
+    return depth <= most
 
 
 def _sides(
@@ -518,7 +533,7 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
             # half a cell less on either side: the wall begins at the edge of its first cell
             opening = 2 * float(half[r[best] * width + c[best]]) - space.cell_m
             found.append(Opening(pixel, pair, opening, False))
-            found[-1].is_door = _is_door(settings, space, region, found[-1], settings.frame_ratio)
+            found[-1].is_door = _is_door(settings, space, region, found[-1], False)
     return found
 
 
@@ -554,7 +569,7 @@ def _inner_doors(
         across = jambs(space.free, (row, column), half[k] / space.cell_m)
         if across is None or min(extent[label[end]] for end in across) < settings.wall_m:
             continue
-        if _is_door(settings, space, region, opening, settings.corridor_door_ratio):
+        if _is_door(settings, space, region, opening, True):
             found.append(opening)
             taken.append(opening.pixel)
     return found

@@ -1,0 +1,118 @@
+"""How well floor plans become buildings, and how fast: every bar with its figure.
+
+    python benchmarks/plans.py [--round-trips 100] [--large]
+
+One default setting for all maps. It was tuned on cumberland, broughton, DIAG_labs, grid, Willow Garage and on
+drawn buildings with seeds below 20; nobody looked at the other maps meanwhile. The maps are looked for in
+``../shared/maps`` beside the repository; what needs them is left out where they are not there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from plans_measure import (
+    MAPS,
+    against_labels,
+    agreement,
+    counts,
+    drawn_counts,
+    farthest_intersection_m,
+    office,
+)
+from tasklift.building.generate import generate
+from tasklift.errors import TaskliftError
+from tasklift.plans.extract import extract
+from tasklift.plans.importing import import_map
+from tasklift.plans.raster import rasterise
+from tasklift.plans.ros import read_ros
+
+TUNED = ("cumberland", "broughton", "DIAG_labs", "grid")
+UNSEEN = ("L440", "1r5", "move_base_arena", "ctcv")
+
+
+def hand_made(without_empty_loops: bool) -> None:
+    title = "hand-made graphs" + (", loops around nothing but floor left out" if without_empty_loops else "")
+    print(f"\n{title} (one-to-one within 1.5 m; bars: junctions .80, precision .60/.60/.45, paths 6 % / 22 %)")
+    print("map              hand n/e/l   found n/e/l  junction recall   precision  path median / p90   seconds")
+    for name in (*TUNED, *UNSEEN):
+        folder = MAPS / "patrolling_sim" / name
+        begin = time.perf_counter()
+        try:
+            plan = read_ros(folder / f"{name}.yaml")
+        except TaskliftError as error:
+            if not without_empty_loops:
+                print(f"{name:16} {error}")
+            continue
+        building, _ = extract(plan)
+        seconds = time.perf_counter() - begin
+        a = agreement(building, plan, folder / f"{name}.graph", without_empty_loops)
+        print(
+            f"{name:16} {a.hand:12} {a.found:12} {a.junction_recall:6.2f} of {a.junctions:3d}   "
+            f"{a.precision:10.2f}    {a.path_median:6.1%} / {a.path_p90:6.1%}   {seconds:7.2f}"
+        )
+
+
+def willow() -> None:
+    path = MAPS / "willow_garage" / "willow-full.yaml"
+    begin = time.perf_counter()
+    building, doubts = import_map(path)
+    seconds = time.perf_counter() - begin
+    print(f"\nWillow Garage: {building!r}, {seconds:.2f} s with imports, no JIT (bar 2 s)")
+    for name, found in against_labels(building).items():
+        print(f"  {name}: recall {found.recall:.2f}, precision {found.precision:.2f} (bars .90)")
+        print(f"    missed at {found.missed}\n    wrong at {found.wrong}")
+    for doubt in doubts:
+        print(f"  doubtful: {doubt}")
+
+
+def round_trips(n: int, first: int = 0) -> None:
+    exact = near = 0
+    for seed in range(first, first + n):
+        drawn = generate(seed=seed)
+        found, _ = extract(rasterise(drawn))
+        same = counts(found) == drawn_counts(drawn)
+        far = farthest_intersection_m(drawn, found)
+        exact += same
+        near += far <= 1.0
+        if not same or far > 1.0:
+            print(
+                f"  seed {seed}: (rooms, doors, loops) {drawn_counts(drawn)} found {counts(found)}; worst {far:.2f} m"
+            )
+    print(f"round trips from seed {first}: counts exact in {exact} of {n} (bar 97 of 100), ", end="")
+    print(f"every visible intersection within 1 m in {near} of {n} (bar 95 of 100)")
+
+
+def large() -> None:
+    begin = time.perf_counter()
+    building, _ = extract(office(4000))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"\n4,000 x 4,000 pixels: {building!r}, {time.perf_counter() - begin:.1f} s (bar 25), {peak:.2f} GB (bar 2)")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--round-trips", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--large", action="store_true")
+    arguments = parser.parse_args()
+    if MAPS.is_dir():
+        willow()
+        hand_made(without_empty_loops=False)
+        hand_made(without_empty_loops=True)
+    else:
+        print(f"no maps at {MAPS}: only drawn buildings are measured")
+    print()
+    round_trips(arguments.round_trips, arguments.first_seed)
+    if arguments.large:
+        large()
+
+
+if __name__ == "__main__":
+    main()

@@ -167,7 +167,7 @@ def test_all_three_verdicts_for_the_right_reason():
     late = judged(arm(rng, losses=2.0, solved=0.95), direct)
     assert late.holds
     assert late.verdict(late.late_share) == "does not hold"
-    assert "more" in headline([late])
+    assert "more" in headline([late])[0]
     # who never moves loses nothing, and solves nothing
     still = judged(arm(rng, losses=0.0, solved=0.0), direct)
     assert still.verdict(still.all_share) == "does not hold"
@@ -184,10 +184,16 @@ def test_the_headline_names_what_holds_or_that_nothing_does():
     direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
     good = judged(arm(rng, losses=0.2, solved=0.95), direct)
     bad = replace(judged(arm(rng, losses=8.0, solved=0.5), direct), hostiles=2)
-    assert "times fewer with 1 hostile." in headline([good, bad])
-    assert times_fewer(good.all_share) in headline([good, bad])
-    assert "Not so with 2 hostiles" in headline([good, bad])
-    assert headline([bad]).startswith("**No contrast")
+    (line,) = headline([good, bad])
+    assert "times fewer with 1 hostile." in line
+    assert times_fewer(good.all_share) in line
+    assert "Not so with 2 hostiles" in line
+    assert headline([bad])[0].startswith("**No contrast")
+    other = replace(good, arm=main_arms("q = .9")[2], lost=0.0)
+    assert [says[2:].partition(":")[0] for says in headline([good, bad, other])] == [
+        "every-door drill 300",
+        "drill 300",
+    ]
 
 
 def test_times_fewer_is_the_ratio_of_means():

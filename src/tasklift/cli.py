@@ -174,12 +174,13 @@ def drills(choose: bool, **options: Any) -> None:
     with _progress() as progress:
         if choose:
             line, table = drill_report.choose(out=options["out"], workers=options["workers"], progress=progress)
-            rest: tuple[Any, ...] = (table,)
         else:
-            line, report = drill_report.drills(progress=progress, **options)
-            rest = ()
-    _print(*rest)
-    click.echo(line if choose else f"{line}\nreport: {report}")
+            lines, report = drill_report.drills(progress=progress, **options)
+    if choose:
+        _print(table)
+        click.echo(line)
+    else:
+        click.echo("\n".join([*lines, f"report: {report}"]))
 
 
 @cli.command()

@@ -185,11 +185,12 @@ class Part:
 
 
 def main_arms(selection: Selection) -> tuple[str, ...]:
-    """Return the arms of the main result: 300 drills against 300 more trials on T."""
+    """Return the arms of the main result: 300 drills, or V and 80, against 300 more trials on T."""
     return (
         direct_name(COUNTED + 300, selection),
         f"drill 300, {selection}",
         f"every-door drill 300, {selection}",
+        f"copy→every-door drill {300 - TRAVERSALS}, {selection}",
     )
 
 
@@ -371,7 +372,7 @@ def _columns(outcomes: Outcomes) -> dict[str, NDArray[Any]]:
 
 
 def study(*, maps: int, seeds: int, hostiles: Sequence[int]) -> Drills:
-    """Return the whole study: the main result on all seeds, everything else on an eighth of them.
+    """Return the whole study: the main result on all seeds, everything else on a tenth of them.
 
     Parameters
     ----------
@@ -380,7 +381,7 @@ def study(*, maps: int, seeds: int, hostiles: Sequence[int]) -> Drills:
     hostiles
         Numbers of hostiles; other numbers of drills and other starts are tried with 1 and 3 of them.
     """
-    few = max(1, seeds // 8)
+    few = max(1, seeds // 10)
     parts = [Part(tuple(hostiles), seeds, main_arms("q = .9")), Part(tuple(hostiles), few, main_arms("exploitation"))]
     further = tuple(h for h in FURTHER_HOSTILES if h in hostiles)
     if further:

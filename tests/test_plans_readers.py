@@ -168,7 +168,7 @@ BAD_YAML = {
     "absolute image": (f"image: /etc/hostname\n{HEAD}", "leaves the folder"),
     "objects": (f"image: !!python/object/apply:os.getcwd []\n{HEAD}", "without tags"),
     "aliases": (f"a: &a [x, x]\nb: &b [*a, *a]\nimage: map.pgm\n{HEAD}", "aliases are not allowed"),
-    "nested deeply": ("image: " + "[" * 5000, "not"),
+    "nested deeply": ("image: " + "[" * 5000, "nested more than 50 deep"),
     "a number too long": (f"image: map.pgm\n{HEAD}".replace("0.05", "9" * 5000), ""),
     "a date that is none": (f"image: 2001-99-99\n{HEAD}", "not a map's YAML"),
     "empty": ("", "is empty"),

@@ -467,10 +467,17 @@ def test_five_hundred_robots_on_a_thousand_nodes_play_smoothly(show, capsys):
     for start in (0, 250, 500):
         before = busy_s()
         frames, milliseconds = tab.evaluate(
-            """async (start) => { tasklift.go(start); tasklift.toggle(); let frames = 0; const begun = performance.now();
-              await new Promise((done) => { const next = () => { frames++;
-                performance.now() - begun < 4000 ? requestAnimationFrame(next) : done() }; requestAnimationFrame(next) });
-              tasklift.pause(); return [frames, performance.now() - begun] }""",
+            """async (start) => {
+              tasklift.go(start);
+              tasklift.toggle();
+              const begun = performance.now();
+              let frames = 0;
+              await new Promise((done) => {
+                const next = () => { frames++; performance.now() - begun < 4000 ? requestAnimationFrame(next) : done() };
+                requestAnimationFrame(next);
+              });
+              tasklift.pause();
+              return [frames, performance.now() - begun] }""",
             start,
         )
         work_ms = 1000 * (busy_s() - before) / frames

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.building import kernel
+from tasklift.building import kernel, layout
 from tasklift.building.mission import hostile_candidates
 from tasklift.errors import TaskliftError
 from tasklift.learn import SWEEP_STAGE, TARGET_STAGE, Outcomes, Reinforcement
@@ -75,12 +75,12 @@ class Simulator:
 
     # --- what never changes -------------------------------------------------------------------------------------
 
-    def _world(self) -> kernel.World:
+    def _world(self) -> layout.World:
         building, reading = self.mission.building, self.mission.reading
         near = _within_earshot(building.position_m, building.feature_class > 1, reading.alert_range_m)
         near_ends = np.cumsum([len(features) for features in near])
         nodes = _records(
-            kernel.NODE,
+            layout.NODE,
             x=building.position_m[:, 0],
             y=building.position_m[:, 1],
             feature=building.feature_class,
@@ -90,7 +90,7 @@ class Simulator:
             near_last=near_ends,
         )
         halves = _records(
-            kernel.HALF,
+            layout.HALF,
             to=building.neighbour,
             edge=building.edge_of,
             cost_mm=edge_cost_mm(building.length_m, building.width_m)[building.edge_of],
@@ -98,14 +98,14 @@ class Simulator:
         )
         kinds = [(i, kind) for i, (kind, n) in enumerate(self.mission.team.items()) for _ in range(n)]
         members = _records(
-            kernel.MEMBER,
+            layout.MEMBER,
             speed_mm=[kind.speed_mm for _, kind in kinds],
             armed=[kind.armed for _, kind in kinds],
             kind=[i for i, _ in kinds],
         )
         placed = self.mission.hostiles
         candidates = hostile_candidates(building) if isinstance(placed, int) else list(placed)
-        return kernel.World(
+        return layout.World(
             nodes=nodes,
             halves=halves,
             near=np.array([f for features in near for f in features], np.int64),
@@ -114,9 +114,9 @@ class Simulator:
             members=members,
         )
 
-    def _rules(self) -> kernel.Rules:
+    def _rules(self) -> layout.Rules:
         mission, reading = self.mission, self.mission.reading
-        return kernel.Rules(
+        return layout.Rules(
             start=int(mission.building.start),
             rooms=int((self.world.search > 0).sum()),
             hostiles=mission.n_hostiles,
@@ -141,7 +141,7 @@ class Simulator:
 
     def learner(
         self, task: Task, reinforcement: Reinforcement, *, sweep: bool = False, learn: bool = True
-    ) -> kernel.Learner:
+    ) -> layout.Learner:
         """Compile a task's tables and the learner's rules.
 
         Raises
@@ -157,14 +157,14 @@ class Simulator:
             )
         values = [root.output_values(int(index)) for index in task.output_map]
         outputs = _records(
-            kernel.OUTPUT,
+            layout.OUTPUT,
             mv=[v["MV"] for v in values],
             wpn=[v["WPN"] for v in values],
             ca=[v["CA"] for v in values],
         )
         sweep_all = sweep and reinforcement.sweep_credit == "all"
         greedy = {"exploration": 0.0, "pseudo-random": reinforcement.q, "exploitation": 1.0}
-        return kernel.Learner(
+        return layout.Learner(
             rows=np.ascontiguousarray(task.input_map, np.int64),
             outputs=outputs,
             signal=np.ascontiguousarray(task.rule_table() if sweep_all else task.signal_table(), np.float64),
@@ -178,28 +178,28 @@ class Simulator:
             loss_signal=float(reinforcement.loss_signal),
         )
 
-    def lane(self, weights: NDArray[np.float64]) -> kernel.Lane:
+    def lane(self, weights: NDArray[np.float64]) -> layout.Lane:
         """Allocate one simulation; ``weights`` (S, A) are used in place."""
         n_robots, n_nodes = self._n_robots, len(self.world.nodes)
         n_edges = self.mission.building.n_edges
         words = (n_edges + 63) // 64
         degree = int((self.world.nodes["last"] - self.world.nodes["first"]).max())
-        return kernel.Lane(
-            robots=np.zeros(n_robots, kernel.ROBOT),
+        return layout.Lane(
+            robots=np.zeros(n_robots, layout.ROBOT),
             roster=np.zeros(n_robots, np.int64),
-            sites=np.zeros(n_nodes, kernel.SITE),
+            sites=np.zeros(n_nodes, layout.SITE),
             picks=np.zeros(len(self.world.halves), np.int64),
             open=np.zeros(degree, np.uint8),
             share=np.zeros(degree),
             visited=np.zeros(n_edges, np.uint8),
             maps=np.zeros((n_robots, words), np.uint64),
             pooled=np.zeros((n_robots, words), np.uint64),
-            teams=np.zeros(n_robots, kernel.TEAM),
-            slots=np.zeros(1 << (2 * n_robots - 1).bit_length(), kernel.SLOT),
+            teams=np.zeros(n_robots, layout.TEAM),
+            slots=np.zeros(1 << (2 * n_robots - 1).bit_length(), layout.SLOT),
             used=np.zeros(weights.shape, np.int64),
             pairs=np.zeros(weights.size, np.int64),
             shuffle=np.zeros(len(self.world.candidates), np.int64),
-            count=np.zeros(1, kernel.COUNT),
+            count=np.zeros(1, layout.COUNT),
             weights=weights,
         )
 
@@ -210,7 +210,7 @@ class Simulator:
         stage_key, place_key = kernel.keys(int(seed), self.mission.building.map_id, stage)
         return np.uint64(stage_key), np.uint64(place_key)
 
-    def begin_trial(self, lane: kernel.Lane, stage_key: np.uint64, place_key: np.uint64, trial: int) -> None:
+    def begin_trial(self, lane: layout.Lane, stage_key: np.uint64, place_key: np.uint64, trial: int) -> None:
         """Set a lane to the start of one trial; :func:`tasklift.building.kernel.step` takes it from there."""
         key = np.uint64(kernel.child_key(stage_key, trial))
         kernel.begin_trial(self.world, self.rules, lane, key, place_key)
@@ -351,7 +351,7 @@ class Trace:
     weights
         ``float64 (S, A)``: at the start of the trial.
     robots
-        Records ``(F, R)`` of :data:`tasklift.building.kernel.ROBOT`: ``alive``, ``node`` (the last), ``half``
+        Records ``(F, R)`` of :data:`tasklift.building.layout.ROBOT`: ``alive``, ``node`` (the last), ``half``
         (-1 at a node), ``progress`` (mm), ``dl``, ``alert``, ``row`` (input of the full task), ``pair_row`` and
         ``out`` (row and output of the last decision, in the learned task), ``since`` (1: decided in this step),
         ``team``.
@@ -369,7 +369,7 @@ class Trace:
 
     mission: Mission
     task: Task
-    learner: kernel.Learner
+    learner: layout.Learner
     seed: int
     trial: int
     success: bool
@@ -389,7 +389,7 @@ class Trace:
         return len(self.robots) - 1
 
 
-def _frame(lane: kernel.Lane) -> dict[str, Any]:
+def _frame(lane: layout.Lane) -> dict[str, Any]:
     return {
         "robots": lane.robots.copy(),
         "hostile": lane.sites["hostile"] == 1,

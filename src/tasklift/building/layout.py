@@ -1,0 +1,108 @@
+"""What the kernel works on: record types for robots, places and teams, and the tuples of arrays that hold them.
+
+Shapes: ``N`` nodes, ``E`` edges, ``H = 2 E`` half-edges, ``R`` robots, ``S0`` inputs of the full task, ``S`` and ``A``
+inputs and outputs of the task that is learned, ``W`` 64-bit words of an edge set. Robots, nodes, teams and outputs are
+rows of record arrays: one array per thing keeps the call between phases cheap and a robot's fields together.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+def _record(**fields: str) -> np.dtype:
+    return np.dtype(list(fields.items()), align=True)
+
+
+NODE = _record(x="f8", y="f8", feature="i8", first="i8", last="i8", near_first="i8", near_last="i8")
+HALF = _record(to="i8", edge="i8", cost_mm="i8", coverage="f8")
+MEMBER = _record(speed_mm="i8", armed="i8", kind="i8")
+OUTPUT = _record(mv="i8", wpn="i8", ca="f8")
+ROBOT = _record(
+    alive="i8", node="i8", half="i8", next="i8", came="i8", progress="i8",  # half, next, came: -1 for none
+    due="i8", since="i8", row="i8", pair_row="i8", out="i8", force="i8", held="i8", crossing="i8",
+    dl="i8", alert="i8", team="i8", decisions="i8", choices="i8",
+)  # fmt: skip
+SITE = _record(
+    hostile="i8", resolved="i8", unsearched="i8", armed_crossing="i8",
+    stopped="i8", crossed="i8", failed="i8", searched="i8", picking="i8", picks="i8",  # the tick at which it last was
+)  # fmt: skip
+TEAM = _record(lead="i8", armed="i8", slowest="i8", size="i8", due="i8", learned="i8")
+SLOT = _record(tick="i8", place="i8", progress="i8", team="i8")
+COUNT = _record(
+    step="i8", alive="i8", teams="i8", edges_left="i8", rooms_left="i8", hostiles_left="i8", losses="i8",
+    messages="i8", used="i8", tick="i8", trial="i8", robot_steps="i8", searching="i8", outside="i8", key="u8",
+)  # fmt: skip
+
+
+class World(NamedTuple):
+    """What never changes in a mission: the building, the team, what lies within earshot."""
+
+    nodes: Any  # NODE (N,)
+    halves: Any  # HALF (H,): each node's half-edges from `first` to `last`, by ascending neighbour
+    near: Any  # int64: features within the alert range of each node, by descending id, `near_first` to `near_last`
+    search: Any  # int64 (N,): steps to search each room, 0 elsewhere
+    candidates: Any  # int64: nodes where hostiles may be hidden
+    members: Any  # MEMBER (R,)
+
+
+class Rules(NamedTuple):
+    """The Reading and the mission's numbers, as scalars."""
+
+    start: int
+    rooms: int
+    hostiles: int
+    placed: int  # 1: the hostiles stand on `candidates` themselves
+    relocate: int
+    weapons_needed: int
+    limit: int
+    patience: int
+    by_team: int
+    split: int  # 0 robots, 1 pairs, 2 team
+    turn_back: int
+    unvisited_first: int
+    sharpness: float
+    engage_crossing: int
+    suspicion_goal: int
+    share_map: int  # 0 none, 1 team, 2 radio
+    drill: int
+    alerts: int  # 0 in a mission without hostiles: nothing to suspect
+
+
+class Learner(NamedTuple):
+    """The task's tables and how its weights change."""
+
+    rows: Any  # int64 (S0,): the task's row of each input of the full task, -1: outside
+    outputs: Any  # OUTPUT (A,)
+    signal: Any  # float64 (S, A): local signals
+    learn: int
+    sweep_all: int  # 1: one output per trial, credited in every input at the end
+    greedy: float  # probability of taking the heaviest output: 0 exploration, 1 exploitation
+    floor: float
+    once: int  # 1: a local signal reaches its pair once per trial
+    time_signal: int  # 0 none, 1 inverted, 2 baseline
+    time_reward: float
+    loss_signal: float
+
+
+class Lane(NamedTuple):
+    """One simulation under way. Everything here is written to."""
+
+    robots: Any  # ROBOT (R,)
+    roster: Any  # int64 (R,): the living, ascending, first `count.alive` entries
+    sites: Any  # SITE (N,)
+    picks: Any  # int64 (H,): per node, the half-edges chosen in this step, in order
+    open: Any  # uint8 (largest degree,): which of a node's half-edges a robot may take
+    share: Any  # float64 (largest degree,): p_j over them, 0 where not open
+    visited: Any  # uint8 (E,)
+    maps: Any  # uint64 (R, W): the edges in each robot's map
+    pooled: Any  # uint64 (R, W): scratch, by team
+    teams: Any  # TEAM (R,)
+    slots: Any  # SLOT (power of two, at least 2 R,): hash of places to teams
+    used: Any  # int64 (S, A): the trial in which each pair was last used
+    pairs: Any  # int64 (S * A,): the pairs used in this trial, in order of first use
+    shuffle: Any  # int64: scratch for placing hostiles
+    count: Any  # COUNT (1,)
+    weights: Any  # float64 (S, A)

@@ -63,7 +63,7 @@ def test_a_network_is_faithful_and_a_small_tree_less_so() -> None:
     policy = Policy(task, np.tile(np.exp(weights).reshape(30, 44), (3, 1)))
     visits = np.zeros(90)
     visits[:5] = 1
-    network = fidelity(policy, approximate(policy, "network", hidden=(24,)), visits=visits)
+    network = fidelity(policy, approximate(policy, "network", hidden=(64,)), visits=visits)
     assert network.same_best > 0.9
     small = approximate(policy, max_leaves=8)
     stump = fidelity(policy, small, visits=visits)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
 from tasklift.policy import Policy
-from tasklift.steps import Step
+from tasklift.steps import Step, stray_input
 from tasklift.task import Task
 
 Floats = NDArray[np.float64]
@@ -55,23 +55,12 @@ class Model:
     def __post_init__(self) -> None:
         n, outputs = len(self.rows), self.task.shape[1]
         where = f"model of {self.task.name!r}"
-        shapes = {
-            np.shape(a)
-            for a in (self.probability, self.after, self.reward, self.ended, self.lost, self.success)
-        }
-        if (
-            len(shapes) != 1
-            or self.probability.shape[:2] != (n, outputs)
-            or self.start_probability.shape != (n,)
-        ):
-            raise TaskliftError(
-                f"{where}: expected arrays of shape ({n}, {outputs}, branches), found {sorted(shapes)}"
-            )
+        shapes = {np.shape(a) for a in (self.probability, self.after, self.reward, self.ended, self.lost, self.success)}
+        if len(shapes) != 1 or self.probability.shape[:2] != (n, outputs) or self.start_probability.shape != (n,):
+            raise TaskliftError(f"{where}: expected arrays of shape ({n}, {outputs}, branches), found {sorted(shapes)}")
         sums = np.append(self.probability.sum(axis=2).ravel(), self.start_probability.sum())
         if (self.probability < 0).any() or not np.allclose(sums, 1, atol=1e-9):
-            raise TaskliftError(
-                f"{where}: the probabilities of a transition, or of the start, do not sum to one"
-            )
+            raise TaskliftError(f"{where}: the probabilities of a transition, or of the start, do not sum to one")
         if self.after.min() < 0 or self.after.max() >= n:
             raise TaskliftError(f"{where}: a transition leads to a state that is not among the {n}")
         if self.rows.min() < 0 or self.rows.max() >= self.task.shape[0]:
@@ -136,11 +125,7 @@ class Model:
                 self._arrays, rows, columns, values, visits, settings, rng, epsilon, learn
             )
             if stray >= 0:
-                values_there = self.task.input_values(int(self.rows[stray]))
-                raise TaskliftError(
-                    f"the world gave the input {values_there}, which is outside of the task {task.name!r}; "
-                    "simplify the task less, or switch the world to its simpler version"
-                )
+                raise stray_input(self.task.input_values(int(self.rows[stray])), task)
             steps, success, losses, total = record
             return steps, success, losses, total
 
@@ -176,13 +161,9 @@ class Model:
                 values = gain_under + move_under @ values
         return float(self.start_probability @ values)
 
-    def optimum(
-        self, *, reward: Floats | None = None, steps: int | None = None, sweeps: int = 100_000
-    ) -> float:
+    def optimum(self, *, reward: Floats | None = None, steps: int | None = None, sweeps: int = 100_000) -> float:
         """Return the exact best expected sum of rewards: over ``steps`` steps, or without a limit."""
-        return float(
-            self.start_probability @ self.action_values(reward=reward, steps=steps, sweeps=sweeps).max(axis=1)
-        )
+        return float(self.start_probability @ self.action_values(reward=reward, steps=steps, sweeps=sweeps).max(axis=1))
 
     def action_values(
         self,
@@ -207,17 +188,13 @@ class Model:
                 return table
             values = new
         if steps is None:
-            raise TaskliftError(
-                f"model of {self.task.name!r}: values do not settle; give steps= or a discount below 1"
-            )
+            raise TaskliftError(f"model of {self.task.name!r}: values do not settle; give steps= or a discount below 1")
         return table
 
     def best_policy(self, **options: Any) -> Policy:
         """Return the best policy by :meth:`action_values`; inputs must tell the model's states apart."""
         if len(set(self.rows.tolist())) < len(self.rows):
-            raise TaskliftError(
-                f"model of {self.task.name!r}: states look the same, so the best policy has no table"
-            )
+            raise TaskliftError(f"model of {self.task.name!r}: states look the same, so the best policy has no table")
         values = np.zeros(self.task.shape)
         values[self.rows] = self.action_values(**options)
         return Policy(self.task, values, {"solved": "value iteration"}, "value")

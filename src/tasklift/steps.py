@@ -8,6 +8,7 @@ Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -78,17 +79,21 @@ class View:
 
     def row(self, input: int) -> int:
         """Return the task's row for an input of the world; rows are looked up as they turn up."""
-        found = self._rows.get(input)
-        if found is None:
+        if input not in self._rows:
             values = self._whole.input_values(input)
-            found = self._rows[input] = self.task.row_of(values)
-            if found < 0:
-                del self._rows[input]
-                raise TaskliftError(
-                    f"the world gave the input {values}, which is outside of the task {self.task.name!r}; "
-                    "simplify the task less, or switch the world to its simpler version"
-                )
-        return found
+            row = self.task.row_of(values)
+            if row < 0:
+                raise stray_input(values, self.task)
+            self._rows[input] = row
+        return self._rows[input]
+
+
+def stray_input(values: Mapping[str, Any], task: Task) -> TaskliftError:
+    """Return the error for a world that shows an input which a simplified task leaves out."""
+    return TaskliftError(
+        f"the world gave the input {values}, which is outside of the task {task.name!r}; "
+        "simplify the task less, or switch the world to its simpler version"
+    )
 
 
 class Chances:
@@ -113,11 +118,10 @@ class Chances:
 
 
 class StepTrials:
-    """Reinforcement of weights on a world that is met step by step: it makes :class:`~tasklift.learn.Trials`
-    of it.
+    """Reinforcement of weights on a world that is met step by step; a :class:`~tasklift.learn.Trials` world.
 
-    The signals are the task's rules, not the world's rewards; a loss adds the ``loss_signal`` to the pair
-    that led to it. The decision is made at every step.
+    The signals are the task's rules, not the world's rewards; a loss adds the ``loss_signal`` to the pair that led
+    to it. The decision is made at every step.
     """
 
     def __init__(self, world: Steps) -> None:
@@ -144,20 +148,21 @@ class StepTrials:
     ) -> StepOutcomes:
         """Run trials and update ``weights``, float64 (S, A), in place; see :class:`tasklift.learn.Trials`."""
         view = View(self.world, task)
-        signals = task.rule_table() if outputs is not None else task.signal_table()
-        if outputs is not None and reinforcement.sweep_credit == "visited":
-            signals = task.signal_table()
+        # in a sweep the output is not the learner's choice, so it is not punished for being impossible
+        chosen = outputs is None or reinforcement.sweep_credit == "visited"
+        signals = task.signal_table() if chosen else task.rule_table()
         records: list[tuple[int, bool, int, float]] = []
         chances = Chances(seed, stage)
-        lost = 0
+        lost = counted = 0
         for i in range(trials):
             if max_losses is not None and lost >= max_losses:
                 break
             held = None if outputs is None else int(outputs[i])
-            before = [record[0] for record in records]
             trial = _Trial(self.world, view, weights, signals, reinforcement, held, learn)
-            records.append(trial.run(chances.of(first_trial + i), float(np.mean(before)) if before else None))
-            lost += records[-1][2]
+            records.append(trial.run(chances.of(first_trial + i), counted / i if i else None))
+            steps, success, losses, _ = records[-1]
+            lost += losses
+            counted += steps if success else self.world.limit
         return outcomes_of(records, self.world.limit)
 
 
@@ -194,7 +199,7 @@ class _Trial:
                 self._signal(row, column, self.signals[row, column])
             answer = self.world.step(self.view.columns[column])
             steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
-            if answer.lost:
+            if answer.lost and not self.to_all:
                 self._signal(row, column, self.settings.loss_signal * answer.lost)
             ended, success = answer.ended, answer.success
             if not ended:

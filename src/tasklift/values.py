@@ -197,7 +197,8 @@ def _trial_of(
 ) -> Callable[[np.random.Generator, float, bool], Record]:
     """Return the function that runs one trial: compiled where the world is an explicit model."""
     rule = ("q-learning", "sarsa", "expected-sarsa").index(learning.rule)
-    settings = (rule, learning.step_size, learning.step_power, learning.discount, learning.temperature)
+    numbers = (learning.step_size, learning.step_power, learning.discount, learning.temperature)
+    settings = (rule, *map(float, numbers))
     if isinstance(world, Model):
         return world.compiled_trial(task, values, visits, settings)
     view = View(world, task)

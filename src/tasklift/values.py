@@ -197,8 +197,8 @@ def _trial_of(
 ) -> Callable[[np.random.Generator, float, bool], Record]:
     """Return the function that runs one trial: compiled where the world is an explicit model."""
     rule = ("q-learning", "sarsa", "expected-sarsa").index(learning.rule)
-    numbers = (learning.step_size, learning.step_power, learning.discount, learning.temperature)
-    settings = (rule, *map(float, numbers))
+    step_size, power = float(learning.step_size), float(learning.step_power)
+    settings = (rule, step_size, power, float(learning.discount), float(learning.temperature))
     if isinstance(world, Model):
         return world.compiled_trial(task, values, visits, settings)
     view = View(world, task)

@@ -184,11 +184,13 @@ def test_the_headline_names_what_holds_or_that_nothing_does():
     direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
     good = judged(arm(rng, losses=0.2, solved=0.95), direct)
     bad = replace(judged(arm(rng, losses=8.0, solved=0.5), direct), hostiles=2)
-    (line,) = headline([good, bad])
+    line, *others = headline([good, bad])
+    assert not others
     assert "times fewer with 1 hostile." in line
     assert times_fewer(good.all_share) in line
     assert "Not so with 2 hostiles" in line
     assert headline([bad])[0].startswith("**No contrast")
+    assert "drill 300: no contrast holds" in headline([bad])[1]
     other = replace(good, arm=main_arms("q = .9")[2], lost=0.0)
     assert [says[2:].partition(":")[0] for says in headline([good, bad, other])] == [
         "every-door drill 300",

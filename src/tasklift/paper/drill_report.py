@@ -238,7 +238,7 @@ def headline(found: Sequence[Contrast]) -> list[str]:
     by_arm = {arm: [c for c in found if c.arm == arm] for arm in arms}
     # most contrasts that hold, then fewest robots lost
     order = sorted(arms, key=lambda arm: (-sum(c.holds for c in by_arm[arm]), sum(c.lost for c in by_arm[arm])))
-    lines = []
+    lines, rest_of_arms = [], []
     for arm in order:
         held = [c for c in by_arm[arm] if c.holds]
         if held:
@@ -250,7 +250,19 @@ def headline(found: Sequence[Contrast]) -> list[str]:
                 f"{f' Not so with {rest}.' if rest else ''} "
                 f"{_late(by_arm[arm])}"
             )
-    return lines or ["**No contrast of drills with direct learning holds** at equal total trials."]
+        else:
+            rest_of_arms.append(_not_shown(arm, by_arm[arm]))
+    return (lines or ["**No contrast of drills with direct learning holds** at equal total trials."]) + rest_of_arms
+
+
+def _not_shown(arm: str, of_arm: Sequence[Contrast]) -> str:
+    """Say what an arm without any contrast that holds came to."""
+    found = "; ".join(
+        f"{times_fewer(c.all_share)} times fewer robots lost, T solved in {100 * c.solved:.0f} against "
+        f"{100 * c.solved_direct:.0f} % of trials, with {reading_name(c.hostiles)}: {c.verdict(c.all_share)}"
+        for c in of_arm
+    )
+    return f"**{arm.partition(',')[0]}: no contrast holds.** {found}."
 
 
 def _late(of_arm: Sequence[Contrast]) -> str:

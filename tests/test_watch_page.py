@@ -140,7 +140,8 @@ def test_numbers_positions_and_states_are_those_of_the_trace(show, trace, docume
     tab = ready(show(document))
     building, last = trace.mission.building, trace.steps
     rooms = np.flatnonzero(building.kind == 0)
-    for frame in sorted({0, 1, 2, 17, last // 3, last // 2, last - 1, last}):
+    told = [frame for at in np.argwhere(trace.failed)[:3, 0].tolist() for frame in (at - 1, at)]
+    for frame in sorted({0, 1, 2, 17, last // 3, last // 2, last - 1, last, *told}):
         go(tab, frame)
         robots, alive = trace.robots[frame], trace.robots["alive"][frame] == 1
         share = trace.visited[frame].mean()
@@ -171,6 +172,41 @@ def test_numbers_positions_and_states_are_those_of_the_trace(show, trace, docume
           return trace.hostiles.map((h) => [h.node, trace.standing(h, scene.frame)]) }""")
         assert hostiles == [[int(h), standing(trace, h, frame)] for h in np.flatnonzero(trace.hostile[0])]
     assert shown["chip"] == (f"done in {last} steps" if trace.success else "out of time")
+
+
+def test_between_steps_robots_are_on_the_straight_line(show, document):
+    tab = ready(show(document))
+    middle, ends = tab.evaluate("""() => { const { scene } = tasklift.panels[0], at = (time) => {
+      scene.draw(time); return scene.drawn.map(({ r, x, y }) => [r, x, y]) };
+      return [at(30.25), [at(30), at(31)]] }""")
+    assert np.ptp(np.subtract(ends[1], ends[0])[:, 1:]) > 0
+    assert np.allclose(middle, 0.75 * np.array(ends[0]) + 0.25 * np.array(ends[1]))
+
+
+def test_what_is_known_is_lit_and_the_rest_dim_in_whatever_order_one_looks(show, trace, document):
+    tab = ready(show(document))
+    lit, dim = tab.evaluate("""() => ["floor", "ghost-floor"].map((name) => {
+      const pen = new OffscreenCanvas(1, 1).getContext("2d"); pen.fillStyle = palette[name]; pen.fillRect(0, 0, 1, 1);
+      return [...pen.getImageData(0, 0, 1, 1).data].join() })""")
+    building = trace.mission.building
+    toggles = tab.evaluate("() => tasklift.panels[0].trace.changes")  # compared with the oracle below
+    for frame in (40, trace.steps, 12, 41, 41, 90, 0):
+        go(tab, frame)
+        colours = tab.evaluate("""() => {
+          const { scene, trace } = tasklift.panels[0], b = trace.building, { width, height } = scene.shown;
+          const pen = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+          pen.drawImage(scene.shown, 0, 0);
+          return b.edges.map(([p, q]) => {
+            const [x, y] = scene.toScreen(...[0, 1].map((i) => (b.position[p][i] + b.position[q][i]) / 2));
+            return [...pen.getImageData(Math.round(x), Math.round(y), 1, 1).data].join() }) }""")
+        known = np.zeros(building.n_edges, bool)
+        for changed in toggles[: frame + 1]:
+            known[changed] ^= True
+        for edge, (a, b) in enumerate(building.edges):
+            if building.length_m[edge] < 6 or 0 in (building.kind[a], building.kind[b]):
+                continue  # lit by its neighbours, or within a room
+            assert (colours[edge] == lit) == known[edge]
+            assert (colours[edge] == dim) == (not trace.visited[frame, edge])
 
 
 class Witness(Oracle):
@@ -473,7 +509,10 @@ def test_five_hundred_robots_on_a_thousand_nodes_play_smoothly(show, capsys):
               const begun = performance.now();
               let frames = 0;
               await new Promise((done) => {
-                const next = () => { frames++; performance.now() - begun < 4000 ? requestAnimationFrame(next) : done() };
+                const next = () => {
+                  frames++;
+                  performance.now() - begun < 4000 ? requestAnimationFrame(next) : done();
+                };
                 requestAnimationFrame(next);
               });
               tasklift.pause();

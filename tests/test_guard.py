@@ -103,6 +103,57 @@ def test_where_falling_is_punished_transfer_hurts() -> None:
     assert np.mean(total) < lifted.mean()
 
 
+MOVES = ("left", "down", "right", "up")
+AROUND = ((0, -1), (1, 0), (0, 1), (-1, 0))
+SIGHTED = Task(
+    "sighted lake",
+    (*TASK.inputs, *(Variable(f"hole {move}", (0, 1)) for move in MOVES)),
+    TASK.outputs,
+)
+
+
+def sighted(hole: float, holes: bool = True) -> Model:
+    """The lake, factored into the place and the neighbouring hazards."""
+    rows = LAKE if holes else [row.replace("H", "F") for row in LAKE]
+
+    def is_hole(row: int, col: int) -> bool:
+        return 0 <= row < 10 and 0 <= col < 10 and rows[row][col] == "H"
+
+    def observe(place) -> dict:
+        row, col = divmod(int(place), 10)
+        around = {f"hole {m}": int(is_hole(row + y, col + x)) for m, (y, x) in zip(MOVES, AROUND, strict=True)}
+        return {"row": row, "col": col} | around
+
+    env = gymnasium.make(
+        "FrozenLake-v1", desc=rows, success_rate=0.8, reward_schedule=(6, hole, -0.01), max_episode_steps=200
+    )
+    return Factored(env, SIGHTED, observe=observe, loss=lambda e: is_hole(*divmod(int(e.after), 10))).model()
+
+
+@pytest.mark.slow
+def test_on_the_punished_lake_the_prior_is_what_helps() -> None:
+    # docs/hazards.md has the figures of 12 seeds
+    calm = SIGHTED.simplify(fix={f"hole {move}": 0 for move in MOVES})
+    told = [tl.set_weight(-6, when={f"hole {move}": 1, "move": move}) for move in MOVES]
+    risky, safe = sighted(-6), sighted(-6, holes=False)
+    lost: dict[str, list[int]] = {}
+    for seed in range(12):
+        v = learn_values(safe, task=calm, steps=SAFE_STEPS, seed=seed, stage=1, learning=Q).policy
+        arms = {
+            "scratch": Q.start(SIGHTED),
+            "copy": v.extend(SIGHTED),
+            "prior": Q.start(SIGHTED).extend(SIGHTED, told),
+            "copy+prior": v.extend(SIGHTED, told),
+        }
+        for name, start in arms.items():
+            outcomes = learn_values(risky, start, steps=STEPS, seed=seed, learning=Q).outcomes
+            lost.setdefault(name, []).append(int(outcomes.losses.sum()))
+    mean = {name: np.mean(losses) for name, losses in lost.items()}
+    assert mean["prior"] < 0.8 * mean["scratch"]
+    assert mean["copy"] > 1.4 * mean["scratch"]
+    assert mean["copy+prior"] > 1.4 * mean["scratch"]
+
+
 def test_pure_copying_in_the_building_search_is_seen_to_hurt() -> None:
     # V punishes every stop, and T inherits a reluctance to stop where stopping saves robots
     told: Counter = Counter()

@@ -8,6 +8,7 @@ the last task itself.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -127,6 +128,7 @@ def compare(
     first: int = 10,
     last: int = 20,
     threshold: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Run a curriculum and direct learning over seeds and say, with intervals, whether transfer paid.
 
@@ -142,6 +144,8 @@ def compare(
         Trials over which the jumpstart and the late performance are averaged.
     threshold
         Of performance: also report what is lost until the mean of ``first`` trials is that good.
+    progress
+        Called after each seed with the number of seeds done, and of all.
 
     Notes
     -----
@@ -164,6 +168,8 @@ def compare(
         direct = Curriculum([budget], block=curriculum.block).run(number).outcomes[target.name]
         longer.append(direct)
         plain.append(_head(direct, target.trials, target.steps))
+        if progress is not None:
+            progress(len(runs), seeds)
     lifted = [run.outcomes[target.name] for run in runs]
     if any(not len(outcomes) for outcomes in lifted):
         raise TaskliftError("compare: a cap stopped the curriculum before its last stage began; raise the cap")

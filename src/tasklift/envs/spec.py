@@ -38,7 +38,7 @@ import hashlib
 import os
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
@@ -136,7 +136,10 @@ def curriculum_of(document: Mapping[str, Any], folder: str | os.PathLike[str] = 
 
 
 def run_spec(
-    path: str | os.PathLike[str], out: str | os.PathLike[str] | None = None, seeds: int | None = None
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    seeds: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Run a spec file: the curriculum against direct learning, over seeds.
 
@@ -149,6 +152,8 @@ def run_spec(
         empty, or hold the results of the same spec.
     seeds
         In place of the spec's.
+    progress
+        Called after each seed with the number of seeds done, and of all.
     """
     document = read_spec(path)
     try:
@@ -157,7 +162,7 @@ def run_spec(
         identity = hashlib.sha256(canonical_json([document, chosen]).encode()).hexdigest()
         folder = None if out is None else _prepared(Path(out), identity)
         options = {n: document[n] for n in ("performance", "first", "last", "threshold") if n in document}
-        comparison = compare(curriculum, seeds=chosen, **options)
+        comparison = compare(curriculum, seeds=chosen, progress=progress, **options)
     except TaskliftError as error:
         raise TaskliftError(f"{path}: {error}") from error
     if folder is not None:

@@ -114,8 +114,11 @@ def test_round_trip_of_a_hundred() -> None:
 
 def test_small_office_is_exact() -> None:
     building, _ = extract(office(800))
-    assert int((building.kind == ROOM).sum()) == int((building.feature_class == DOOR).sum()) == 24
-    assert np.isclose(building.area_m2[building.kind == ROOM], 4.7 * 4.2, rtol=0.1).all()
+    # sixteen rooms, and the open hall beside them, which is a room without a door
+    assert int((building.feature_class == DOOR).sum()) == 16
+    areas = np.sort(building.area_m2[building.kind == ROOM])
+    assert len(areas) == 17
+    assert np.isclose(areas[:16], 4.7 * 4.2, rtol=0.1).all()
 
 
 @pytest.mark.slow

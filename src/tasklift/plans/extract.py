@@ -7,6 +7,7 @@ corridors from the skeleton of what is no room.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from tasklift.plans.segment import (
 )
 
 CORNER_DEGREES = 65.0
+LONE_SPECKLE_M = 0.2
 DOOR_TOLERANCE_M = 0.75
 CORRIDOR_HALF_WIDTH_M = 2.0
 AXIS_M, STRAIGHT_M = 3.0, 0.1
@@ -54,9 +56,15 @@ def extract(
     say = progress or (lambda _: None)
     say("cleaning the picture")
     points = plan.seeds_m if seed_point is None else np.array([seed_point], float)
-    space = clean(plan, settings, None if points is None else plan.to_pixels(points))
+    seeds = None if points is None else plan.to_pixels(points)
+    space = clean(plan, settings, seeds)
     say("dividing at the narrow places")
     region, openings, measure, is_room = divide(space, settings)
+    if not openings:
+        # one space without doors: what stands in it is all the structure there is
+        space = clean(plan, replace(settings, speckle_m=LONE_SPECKLE_M, furniture_m=0.0), seeds)
+        region, openings, measure, is_room = divide(space, settings)
+        space.doubts.append("one space without doors: every obstacle in it was gone around")
     if plan.doors_m is not None:
         openings = _declared_doors(plan, space, region, openings)
     region, openings, left_out = _without_closets(region, openings, measure, is_room, settings)
@@ -150,7 +158,9 @@ def _draw(
     for opening, sides in ties:
         row, column = opening.pixel
         role = "door" if opening.is_door else "path"
-        node = whole.add_node(Node((float(row), float(column)), opening.width_m / 2, role))
+        half = float(space.half_width_m[row, column])
+        across = jambs(space.free, opening.pixel, half / space.cell_m)
+        node = whole.add_node(Node((float(row), float(column)), half, role, 0, across))
         for number, point in sides:
             of_region.setdefault(number, []).append((node, point))
     for number, box in enumerate(ndimage.find_objects(region), start=1):
@@ -392,6 +402,8 @@ def _centre_nodes(graph: PathGraph, space: Space) -> None:
         normal, offset = [], []
         for edge in graph.incident[number]:
             axis = _axis(graph.line(edge, number), clear, space)
+            if axis is None:
+                axis = _door_axis(graph.nodes[graph.other(edge, number)], graph.edges[edge][2], space)
             if axis is not None:
                 normal.append(axis[0])
                 offset.append(axis[1])
@@ -426,6 +438,15 @@ def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float] | No
         return None
     normal = np.array([-direction[0, 1], direction[0, 0]])
     return normal, float(normal @ middle)
+
+
+def _door_axis(door: Node, line: Points, space: Space) -> tuple[Points, float] | None:
+    """The line through a door, square to its wall, for the short way from a door to its corridor."""
+    if door.role != "door" or door.across is None or line_length(line) * space.cell_m > AXIS_M:
+        return None
+    first, second = (np.array(end, float) for end in door.across)
+    normal = (second - first) / np.hypot(*(second - first))
+    return normal, float(normal @ ((first + second) / 2))
 
 
 def _turn(before: Points, here: Points, after: Points) -> float:

@@ -17,12 +17,16 @@ Points = NDArray[np.float64]
 
 @dataclass(eq=False)
 class Node:
-    """A point of a :class:`PathGraph`; ``role`` is "path", or says whose fixed point it is."""
+    """A point of a :class:`PathGraph`; ``role`` is "path", or says whose fixed point it is.
+
+    ``across`` are the two ends of the line across a narrow place, where the node is one.
+    """
 
     at: tuple[float, float]
     half: float
     role: str = "path"
     owner: int = 0
+    across: tuple[tuple[int, int], tuple[int, int]] | None = None
 
 
 @dataclass(eq=False)

@@ -249,11 +249,12 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
     is_room = measure.rooms(settings)
     if not openings:
         is_room[:] = False  # one space alone: its inner structure is all there is
-    openings += _inner_doors(space, settings, region, perhaps, openings)
+    walls = _Walls(space, settings)
+    openings += _inner_doors(space, settings, region, perhaps, openings, walls)
     for opening in openings:
         if opening.is_door and not is_room[list(opening.regions)].any():
-            # corridors vary in width: only a marked narrowing is a door in one
-            opening.is_door = _is_door(settings, space, region, opening, True)
+            # corridors vary in width: only a marked narrowing between walls is a door in one
+            opening.is_door = walls.beside(opening) and _is_door(settings, space, region, opening, True)
     openings = [o for o in openings if o.is_door or o.regions[0] != o.regions[1]]
     return region, openings, measure, is_room
 
@@ -543,17 +544,12 @@ def _inner_doors(
     region: NDArray[np.int32],
     passes: NDArray[np.int64],
     others: list[Opening],
+    walls: _Walls,
 ) -> list[Opening]:
     """Doors with the same region on both sides: narrow places between two walls, not beside furniture.
 
     Only the narrowest of several close to each other, and none close to the ``others``.
     """
-    from scipy import ndimage
-
-    label, n = ndimage.label(~space.free, structure=_EIGHT)
-    extent = np.zeros(n + 1)
-    for i, (rows, columns) in enumerate(ndimage.find_objects(label), start=1):
-        extent[i] = max(rows.stop - rows.start, columns.stop - columns.start) * space.cell_m
     taken = [opening.pixel for opening in others]
     found: list[Opening] = []
     half = space.half_width_m.ravel()[passes].astype(float)
@@ -566,13 +562,30 @@ def _inner_doors(
         near = np.array(taken, float).reshape(-1, 2) - (row, column)
         if len(near) and np.hypot(*near.T).min() * space.cell_m < settings.frame_m:
             continue
-        across = jambs(space.free, (row, column), half[k] / space.cell_m)
-        if across is None or min(extent[label[end]] for end in across) < settings.wall_m:
-            continue
-        if _is_door(settings, space, region, opening, True):
+        if walls.beside(opening) and _is_door(settings, space, region, opening, True):
             found.append(opening)
             taken.append(opening.pixel)
     return found
+
+
+class _Walls:
+    """What is not free, told apart by size: walls are large, furniture and pillars are not."""
+
+    def __init__(self, space: Space, settings: Settings):
+        from scipy import ndimage
+
+        self.space = space
+        self.label, n = ndimage.label(~space.free, structure=_EIGHT)
+        self.is_wall = np.zeros(n + 1, bool)
+        for i, (rows, columns) in enumerate(ndimage.find_objects(self.label), start=1):
+            extent = max(rows.stop - rows.start, columns.stop - columns.start) * space.cell_m
+            self.is_wall[i] = extent >= settings.wall_m
+
+    def beside(self, opening: Opening) -> bool:
+        """Whether an opening lies between two walls."""
+        half = float(self.space.half_width_m[opening.pixel]) / self.space.cell_m
+        ends = jambs(self.space.free, opening.pixel, half)
+        return ends is not None and all(self.is_wall[self.label[end]] for end in ends)
 
 
 def jambs(

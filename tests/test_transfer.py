@@ -192,6 +192,21 @@ def test_the_rollback_policy_is_the_one_with_which_the_best_block_began() -> Non
     assert blocks.argmin() == 0
 
 
+def test_one_lucky_trial_is_no_best_block() -> None:
+    # a budget of steps runs weights trial by trial, and a last block may be cut short; neither is a block to judge by
+    stage = Stage("s", Gate.task, Gate(), steps=400)
+    run = Curriculum([stage], block=10, best_by=["steps"]).run(3)
+    steps = run.outcomes["s"].steps
+    full = steps[: len(steps) // 10 * 10].reshape(-1, 10).mean(axis=1)
+    before = 10 * int(full.argmin())
+    assert steps.min() < full.min()
+    assert 0 < before < len(steps)
+    until = Curriculum([replace(stage, steps=None, trials=before)]).run(3)
+    assert np.array_equal(run.best.weights, until.policy.weights)
+    v = Curriculum([corridor_curriculum().stages[0]]).run(0)
+    assert np.array_equal(v.best.weights, v.policy.weights)
+
+
 def test_after_a_cap_the_next_stage_enters_with_the_rollback_policy() -> None:
     first = Stage("first", Gate.task, Gate(), trials=200, max_losses=4)
     second = Stage("second", Gate.task, Gate(False), trials=5)

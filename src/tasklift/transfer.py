@@ -231,8 +231,9 @@ class Curriculum:
     max_losses
         Over all stages and controls together; no trial begins once so many are lost.
     best_by
-        The rule of the rollback policy. Of each block of trials the means are compared in this order (fewer
-        losses, more success, fewer steps, higher return); kept is the policy with which the best block began.
+        The rule of the rollback policy. Of each full block of trials the means are compared in this order (fewer
+        losses, more success, fewer steps, higher return); kept is the policy with which the best block began. A
+        sweep, whose trials do not depend on what it has learned, keeps what it learned.
     block
         Trials per block.
     """
@@ -311,9 +312,11 @@ class Curriculum:
 class _Course:
     """One learner on its way through a stage, block by block."""
 
-    def __init__(self, stage: Stage, key: int, seed: int, policy: Policy, rule: Sequence[str]) -> None:
-        self.stage, self.key, self.seed, self.policy, self.rule = stage, key, seed, policy, rule
+    def __init__(self, curriculum: Curriculum, stage: Stage, key: int, seed: int, policy: Policy) -> None:
+        self.stage, self.key, self.seed, self.policy = stage, key, seed, policy
+        self.rule, self.block = curriculum.best_by, curriculum.block
         self.parts: list[Outcomes] = []
+        self._block_start, self._block_parts = policy, list[Outcomes]()
         self.trials = self.steps = self.losses = 0
         self.best = policy
         self._best_score: tuple[float, ...] | None = None
@@ -364,14 +367,24 @@ class _Course:
         self.parts.append(part)
         # blocks are ours, not the user's: the provenance tells of the stage as a whole, not of every block
         self.policy = replace(curve.policy, provenance=before.provenance)
-        if len(part):
-            score = tuple(_means(part, name) for name in self.rule)
-            if self._best_score is None or score > self._best_score:
-                self.best, self._best_score = before, score
+        self._judge(part)
         self.trials += len(part)
         self.steps += int(part.steps.sum())
         self.losses += int(part.losses.sum())
         return len(part) > 0
+
+    def _judge(self, part: Outcomes) -> None:
+        """Keep the policy with which the best full block began."""
+        if self.stage.repeats is not None:
+            self.best = self.policy
+            return
+        self._block_parts.append(part)
+        whole_block = joined(self._block_parts)
+        if len(whole_block) >= self.block:
+            score = tuple(_means(whole_block, name) for name in self.rule)
+            if self._best_score is None or score > self._best_score:
+                self.best, self._best_score = self._block_start, score
+            self._block_start, self._block_parts = self.policy, []
 
     def told(self, policy: Policy) -> Policy:
         """Return a policy of this course with the provenance of the stage."""
@@ -414,8 +427,8 @@ class _StageRun:
     ) -> None:
         self.stage, self.block = stage, curriculum.block
         start = stage.scratch() if policy is None else stage.enter(policy)
-        self.lifted = _Course(stage, key, seed, start, curriculum.best_by)
-        self.control = _Course(stage, key, seed, stage.scratch(), curriculum.best_by)
+        self.lifted = _Course(curriculum, stage, key, seed, start)
+        self.control = _Course(curriculum, stage, key, seed, stage.scratch())
         self.chosen = self.lifted  # whose policy counts; the control's after falling back
         self.report = GuardReport()
         caps = [cap for cap in (left, stage.max_losses) if cap is not None]

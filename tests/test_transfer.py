@@ -14,7 +14,7 @@ from tasklift.errors import TaskliftError
 from tasklift.guard import Guard, SequentialTest
 from tasklift.learn import Outcomes, Reinforcement, reinforce, sweep
 from tasklift.policy import Policy, swap
-from tasklift.steps import StepOutcomes
+from tasklift.steps import Step, StepOutcomes
 from tasklift.task import Signal, Task, Variable
 from tasklift.transfer import Curriculum, Stage
 from tasklift.values import ValueLearning, learn_values
@@ -266,6 +266,40 @@ def test_the_order_of_evidence_is_symmetric() -> None:
         one.update(difference)
         other.update(-difference)
     assert one.evidence == other.evidence[::-1]
+
+
+class Raffle:
+    """Two outputs, equally bad; each has its own luck in every trial."""
+
+    task = Task("raffle", (Variable("x", (0,)),), (Variable("ticket", (0, 1)),))
+    limit = 1
+
+    def start(self, rng: np.random.Generator) -> int:
+        self.unlucky = rng.random(2) < 0.3
+        return 0
+
+    def step(self, output: int) -> Step:
+        lost = int(self.unlucky[output])
+        return Step(0, -float(lost), True, lost, not lost)
+
+
+def test_a_whole_guarded_stage_keeps_to_its_error_rates() -> None:
+    # what is transferred prefers a ticket for no reason: neither helps nor hurts, though the trials differ
+    settled = Policy(Raffle.task, np.array([[0.5, -0.5]]), kind="value")
+    guard = Guard("losses", share=0.5, on_hurts="report")
+    stage = Stage("raffle", Raffle.task, Raffle(), ValueLearning(epsilon=0.1), trials=160, guard=guard)
+    runs, pairs, evidence = 150, [], []
+    told: Counter = Counter()
+    for seed in range(runs):
+        report = Curriculum([stage]).run(seed, initial=settled).guards["raffle"]
+        told[report.verdict] += 1
+        pairs.append(report.pairs)
+        evidence.append(report.evidence)
+    assert min(pairs) >= 70
+    allowed = runs * 0.05 + 3 * np.sqrt(runs * 0.05 * 0.95)
+    assert told["helps"] <= allowed
+    assert told["hurts"] <= allowed
+    assert sum(max(e) > 2 for e in evidence) > 5  # there are differences, and they do add up now and then
 
 
 def guarded(guard: Guard, trials: int):

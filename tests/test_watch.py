@@ -20,7 +20,7 @@ from click.testing import CliRunner
 from tasklift.building import SCOUT, WEAPON, Building, Mission, generate
 from tasklift.building.mission import COHESIVE, SCATTERED
 from tasklift.errors import TaskliftError
-from tasklift.lab import FILE_NAME, Store, run
+from tasklift.lab import FILE_NAME, Spec, Store, run
 from tasklift.learn import Reinforcement, reinforce
 from tasklift.paper.arms import ARMS
 from tasklift.paper.study import Study
@@ -135,6 +135,13 @@ def test_rows_that_this_release_plays_differently_are_refused(experiment, monkey
     monkeypatch.setattr(Store, "result", altered)
     with pytest.raises(TaskliftError, match="recorded by tasklift"):
         run_traces(experiment, reading=None, map=None, seed=0, arms=None, trials=[2])
+
+
+def test_an_experiment_of_another_kind_is_refused(tmp_path):
+    with Store.open(tmp_path / FILE_NAME, Spec.of("apples", {"apples": 3})):
+        pass
+    with pytest.raises(TaskliftError, match="not an experiment with robots in buildings"):
+        run_traces(tmp_path, reading=None, map=None, seed=0, arms=None, trials=None)
 
 
 # --- the document ----------------------------------------------------------------------------------------------

@@ -184,6 +184,21 @@ def test_a_factoring_of_ones_own() -> None:
     assert named.input_values(own.start(np.random.default_rng(0)))["sum"] in ("even", "odd")
 
 
+def test_a_tuple_of_discrete_spaces_factors_by_itself() -> None:
+    hand = Task(
+        "blackjack",
+        (Variable("sum", range(32)), Variable("dealer", range(11)), Variable("ace", ("hard", "soft"))),
+        (Variable("draw", ("stick", "hit")),),
+    )
+    world = Factored(gymnasium.make("Blackjack-v1"), hand, limit=20, success=lambda e: e.reward > 0)
+    assert hand.input_values(world.input_of((20, 1, 1))) == {"sum": 20, "dealer": 1, "ace": "soft"}
+    learned = learn_values(world, trials=3000, learning=ValueLearning(step_size=0.02, step_power=0.8, epsilon=0.3))
+    high = learned.policy.row({"sum": 20, "dealer": 10, "ace": "hard"})
+    assert high[0] > high[1]  # on 20, stick
+    with pytest.raises(TaskliftError, match="outside of the factoring"):
+        world.input_of((40, 1, 1))
+
+
 def test_losses_and_success_are_what_the_user_says() -> None:
     seen: list[Event] = []
 

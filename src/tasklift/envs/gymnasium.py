@@ -52,7 +52,7 @@ class Factored:
         How its observations and actions factor into variables.
     observe
         Observation → ``{input: value}``. Default, for a ``Discrete`` space: the observation is the input's
-        index, so that the first input variable is the slowest; for ``MultiDiscrete``: the positions, in
+        index, so that the first input variable is the slowest; for ``MultiDiscrete`` or a tuple: the positions, in
         order.
     act
         ``{output: value}`` → action. Default: the output's index, or the positions.
@@ -193,7 +193,10 @@ class Factored:
 
 
 def _sizes(space: Any) -> list[int] | None:
-    """Return the sizes of a Discrete or MultiDiscrete space that starts at 0; None for any other."""
+    """Return the sizes of a discrete space that starts at 0, or of a tuple of such; None for any other."""
+    if isinstance(getattr(space, "spaces", None), tuple):
+        parts = [_sizes(part) for part in space.spaces]
+        return None if None in parts else [size for part in parts for size in part or []]
     if np.any(getattr(space, "start", 0)):
         return None
     if hasattr(space, "nvec"):
@@ -218,6 +221,7 @@ def _index(observation: Any, variables: Sequence[Variable]) -> int:
 def _action(space: Any, task: Task, act: Act | None, output: int) -> Any:
     if act is not None:
         return act(task.output_values(output))
+    positions = [int(p) for p in np.unravel_index(output, [len(v) for v in task.outputs])]
     if hasattr(space, "nvec"):
-        return np.array(np.unravel_index(output, [len(v) for v in task.outputs]), dtype=space.dtype)
-    return output
+        return np.array(positions, dtype=space.dtype)
+    return tuple(positions) if isinstance(getattr(space, "spaces", None), tuple) else output

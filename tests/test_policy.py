@@ -372,3 +372,18 @@ def test_a_policy_of_another_task_is_refused_by_the_variable(tmp_path: Path) -> 
         Policy.load(tmp_path / "missing.json")
     with pytest.raises(TaskliftError, match="not JSON data"):
         Policy.equal(T).__class__(T, np.ones(T.shape), {"seed": {1, 2}}).save(path)
+
+
+def test_a_policy_reads_as_lines_and_as_a_table():
+    task = Task("door", (Variable("near", (0, 1)),), (Variable("act", ("stop", "go")),))
+    policy = Policy(task, np.array([[1.0, 3.0], [2.0, 0.0]]))
+    assert list(policy.describe(top=1)) == ["near=0: 75% act=go", "near=1: 100% act=stop"]
+    assert policy.to_csv().splitlines() == [
+        "near,act,weight,probability",
+        "0,stop,1.0,0.25",
+        "0,go,3.0,0.75",
+        "1,stop,2.0,1.0",
+        "1,go,0.0,0.0",
+    ]
+    values = Policy(task, np.array([[-1.0, -3.0], [2.0, 0.0]]), kind="value")
+    assert list(values.describe(top=1)) == ["near=0: 100% act=stop", "near=1: 100% act=stop"]

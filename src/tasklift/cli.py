@@ -219,20 +219,13 @@ def policy() -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--top", type=_positive, default=3, show_default=True, help="Outputs to show per input.")
 def policy_show(file: Path, top: int) -> None:
-    """Show the most likely outputs of every input, and where the policy comes from."""
+    """Show the most likely outputs of every input."""
     from tasklift.policy import Policy
 
     loaded = Policy.load(file)
-    task = loaded.task
-    click.echo(f"{task.name}: {task.shape[0]} inputs x {task.shape[1]} outputs")
-    for row in range(task.shape[0]):
-        chances = loaded.probabilities(row)
-        best = sorted(range(task.shape[1]), key=lambda out: -chances[out])[:top]
-        seen = " ".join(f"{name}={value}" for name, value in task.input_values(row).items())
-        does = "; ".join(
-            f"{chances[out]:.0%} " + " ".join(f"{k}={v}" for k, v in task.output_values(out).items()) for out in best
-        )
-        click.echo(f"{seen}: {does}")
+    click.echo(f"{loaded.task.name}: {loaded.task.shape[0]} inputs x {loaded.task.shape[1]} outputs")
+    for line in loaded.describe(top):
+        click.echo(line)
 
 
 @policy.command("export")
@@ -240,23 +233,10 @@ def policy_show(file: Path, top: int) -> None:
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="A .csv file.")
 def policy_export(file: Path, out: Path) -> None:
     """Write a policy as a table: one line per input and output, with weight and probability."""
-    import csv
-    import io
-
     from tasklift.files import write_atomically
     from tasklift.policy import Policy
 
-    loaded = Policy.load(file)
-    task = loaded.task
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*(v.name for v in task.inputs), *(v.name for v in task.outputs), "weight", "probability"])
-    for row in range(task.shape[0]):
-        chances = loaded.probabilities(row)
-        for out_index in range(task.shape[1]):
-            values = [*task.input_values(row).values(), *task.output_values(out_index).values()]
-            writer.writerow([*values, loaded.weights[row, out_index], chances[out_index]])
-    write_atomically(out, text.getvalue())
+    write_atomically(out, Policy.load(file).to_csv())
     click.echo(f"written: {out}")
 
 

@@ -10,13 +10,15 @@ Shapes: ``S`` inputs, ``A`` outputs of the policy's task.
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import io
 import json
 import os
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
@@ -133,6 +135,35 @@ class Policy:
     def best(self) -> NDArray[np.int64]:
         """Return the heaviest output of each input, int64 (S,); the first one where several are equal."""
         return np.argmax(self.weights, axis=1).astype(np.int64)
+
+    def rows(self) -> Iterator[tuple[dict[str, Any], dict[str, Any], float, float]]:
+        """Yield (input values, output values, weight, probability) of every pair, input by input.
+
+        Probabilities are those of exploration; a policy of values has none, there it is the heaviest output's.
+        """
+        rule: Rule = "exploration" if self.kind == "weight" else "exploitation"
+        outputs = [self.task.output_values(out) for out in range(self.task.shape[1])]
+        for row in range(self.task.shape[0]):
+            seen, chances = self.task.input_values(row), self.probabilities(row, rule)
+            for out, does in enumerate(outputs):
+                yield seen, does, float(self.weights[row, out]), float(chances[out])
+
+    def describe(self, top: int = 3) -> Iterator[str]:
+        """Yield a line per input, for people: its ``top`` most likely outputs."""
+        for _, pairs in groupby(self.rows(), key=lambda pair: pair[0]):
+            likely = sorted(pairs, key=lambda pair: -pair[3])[:top]
+            does = "; ".join(f"{chance:.0%} {_spelled(output)}" for _, output, _, chance in likely)
+            yield f"{_spelled(likely[0][0])}: {does}"
+
+    def to_csv(self) -> str:
+        """Return the policy as a table: a line per input and output, with weight and probability."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        names = [variable.name for variable in (*self.task.inputs, *self.task.outputs)]
+        writer.writerow([*names, self.kind, "probability"])
+        for seen, does, weight, chance in self.rows():
+            writer.writerow([*seen.values(), *does.values(), weight, chance])
+        return text.getvalue()
 
     def select(
         self,
@@ -412,3 +443,7 @@ def _read_arrays(path: Path, beside: Mapping[str, Any]) -> dict[str, Weights]:
     if "weights" not in found:
         raise TaskliftError(f"{file}: has no weights")
     return found
+
+
+def _spelled(values: Mapping[str, Any]) -> str:
+    return " ".join(f"{name}={value}" for name, value in values.items())

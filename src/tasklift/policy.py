@@ -152,8 +152,8 @@ class Policy:
         """Yield a line per input, for people: its ``top`` most likely outputs."""
         for _, pairs in groupby(self.rows(), key=lambda pair: pair[0]):
             likely = sorted(pairs, key=lambda pair: -pair[3])[:top]
-            does = "; ".join(f"{chance:.0%} {_spelled(output)}" for _, output, _, chance in likely)
-            yield f"{_spelled(likely[0][0])}: {does}"
+            does = "; ".join(f"{chance:.0%} {_told(output)}" for _, output, _, chance in likely)
+            yield f"{_told(likely[0][0])}: {does}"
 
     def to_csv(self) -> str:
         """Return the policy as a table: a line per input and output, with weight and probability."""
@@ -445,5 +445,5 @@ def _read_arrays(path: Path, beside: Mapping[str, Any]) -> dict[str, Weights]:
     return found
 
 
-def _spelled(values: Mapping[str, Any]) -> str:
+def _told(values: Mapping[str, Any]) -> str:
     return " ".join(f"{name}={value}" for name, value in values.items())

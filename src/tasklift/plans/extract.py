@@ -23,14 +23,17 @@ from tasklift.plans.segment import (
     Space,
     clean,
     divide,
+    fill_islands,
     jambs,
 )
 
 CORNER_DEGREES = 65.0
+NEAR_DOOR_M = 0.4
+SHORTEST_RING_M = 1.2
 LONE_SPECKLE_M = 0.2
 DOOR_TOLERANCE_M = 0.75
 CORRIDOR_HALF_WIDTH_M = 2.0
-AXIS_M, STRAIGHT_M = 3.0, 0.1
+AXIS_M, SHORTEST_AXIS_M, STRAIGHT_M = 3.0, 0.6, 0.1
 BEND_TOLERANCE_M = 0.6
 
 
@@ -222,6 +225,8 @@ def _draw_region(
             return graph, [(room, line) for line in lines]
     from skimage.morphology import skeletonize
 
+    # what another region left of a cell or two would be a ring in the skeleton
+    mask = mask | fill_islands(mask, settings.furniture_m / space.cell_m)
     pixels = skeletonize(mask)
     graph = trace(pixels, half, owner=number)
     graph.prune(_reaches_out(space, settings))
@@ -348,7 +353,9 @@ def _simplify(graph: PathGraph, space: Space, settings: Settings, is_room: NDArr
 
     reaches_out = _reaches_out(space, settings, is_room)
     graph.prune(reaches_out)
+    graph.drop_rings(SHORTEST_RING_M / space.cell_m)
     graph.contract(near)
+    graph.drop_rings(SHORTEST_RING_M / space.cell_m)
     graph.prune(reaches_out)
 
 
@@ -356,22 +363,37 @@ def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:
     """Put a node of role "bend" or "corner" wherever a corridor turns."""
     for edge in list(graph.edges):
         a, b, line = graph.edges[edge]
-        corners = simplify(line, BEND_TOLERANCE_M / space.cell_m)
+        corners = _corners(line, space, settings)
+        # the last first, so that what is still to be split keeps its indices
         for k in range(len(corners) - 2, 0, -1):
             before, here, after = (line[i] for i in corners[k - 1 : k + 2])
             turn = _turn(before, here, after)
             if turn < settings.bend_degrees:
                 continue
-            row, column = (int(v) for v in np.rint(here))
-            half = float(space.half_width_m[row, column])
-            room = max(settings.merge_m, half) / space.cell_m
-            if min(np.hypot(*(here - before)), np.hypot(*(after - here))) < room:
-                continue
-            role = "corner" if turn >= CORNER_DEGREES else "bend"
-            node = graph.split(edge, int(corners[k]), Node((float(here[0]), float(here[1])), half, role))
-            # the part before the new node is what the next corners lie on
-            edge = next(e for e in graph.incident[node] if graph.edges[e][1] == node and graph.edges[e][0] == a)
-        del b
+            half = float(space.half_width_m[tuple(int(v) for v in np.rint(here))])
+            for end in (a, b):
+                apart = np.hypot(*(here - graph.nodes[end].at)) * space.cell_m
+                if apart < (max(settings.merge_m, half) if graph.nodes[end].role == "path" else NEAR_DOOR_M):
+                    break
+            else:
+                role = "corner" if turn >= CORNER_DEGREES else "bend"
+                node = graph.split(edge, int(corners[k]), Node((float(here[0]), float(here[1])), half, role))
+                # the first part: splitting numbers it before the second
+                edge = min(graph.incident[node])
+
+
+def _corners(line: Points, space: Space, settings: Settings) -> list[int]:
+    """Indices of the points where a line turns; two close together in one turn are one, between them."""
+    corners = simplify(line, BEND_TOLERANCE_M / space.cell_m).tolist()
+    k = 1
+    while k + 2 < len(corners):
+        first, second = line[corners[k]], line[corners[k + 1]]
+        half = float(space.half_width_m[tuple(int(v) for v in np.rint(first))])
+        if np.hypot(*(second - first)) * space.cell_m < max(settings.merge_m, 1.8 * half):
+            corners[k : k + 2] = [(corners[k] + corners[k + 1]) // 2]
+        else:
+            k += 1
+    return corners
 
 
 def _taut(line: Points, free: NDArray[np.bool_]) -> Points:
@@ -427,7 +449,7 @@ def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float] | No
     """Normal and offset of the straight corridor along which ``line`` leaves its first point, or ``None``."""
     along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     part = line[(along >= clear) & (along <= clear + AXIS_M / space.cell_m)]
-    if len(part) < 2 or np.hypot(*(part[-1] - part[0])) * space.cell_m < 0.3 * AXIS_M:
+    if len(part) < 2 or np.hypot(*(part[-1] - part[0])) * space.cell_m < SHORTEST_AXIS_M:
         return None
     width = space.half_width_m[tuple(np.rint(part).astype(int).T)]
     if np.ptp(width) > 0.3 * width.mean():

@@ -90,6 +90,12 @@ class PathGraph:
             self.remove_node(node)
             self.add_edge(a, b, joined)
 
+    def drop_rings(self, length: float) -> None:
+        """Remove edges shorter than ``length`` that lead from a node back to it: artefacts of the grid."""
+        for edge, (a, b, line) in list(self.edges.items()):
+            if a == b and line_length(line) < length:
+                self.remove_edge(edge)
+
     def prune(self, excess: Callable[[float, Node, Node], bool]) -> None:
         """Remove dangling branches for which ``excess(length, leaf, root)`` is false, all of a round at once."""
         while True:

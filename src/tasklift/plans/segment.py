@@ -72,7 +72,7 @@ class Settings:
     frame_m: float = 1.75
     leaf_m: float = 1.1
     deep_frame_m: float = 3.0
-    through_elongation: float = 1.6
+    through_elongation: float = 1.5
     mouth_elongation: float = 1.4
     mouth_share: float = 0.52
     hall_half_width_m: float = 1.8
@@ -132,7 +132,7 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     if not free.any():
         raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
     free = np.pad(free, 1)
-    filled = _fill_islands(free, settings.speckle_m / cell)
+    filled = fill_islands(free, settings.speckle_m / cell)
     free = free | filled
     radius = settings.opening_m / cell
     core = ndimage.distance_transform_edt(free) > radius
@@ -146,7 +146,7 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
     box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
     chosen, filled = chosen[box], filled[box]
-    furniture = _fill_islands(chosen, settings.furniture_m / cell)
+    furniture = fill_islands(chosen, settings.furniture_m / cell)
     filled = (filled | furniture) & (chosen | furniture)
     chosen = chosen | furniture
     half = (ndimage.distance_transform_edt(chosen) * cell).astype(np.float32)
@@ -165,7 +165,7 @@ def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
     return np.asarray(blocks.all(axis=(1, 3)))
 
 
-def _fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
+def fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
     """The pieces of ``~free`` that are smaller than ``extent`` cells either way and do not touch the edge.
 
     By extent and not by area, which would also take wall stubs.

@@ -328,7 +328,7 @@ def _label(arm: str) -> str:
     )
 
 
-@figures._styled
+@figures.styled
 def figure(store: Store, found: Sequence[Contrast], curves_for: int) -> Figure:
     """Draw robots lost by number of hostiles, with intervals, and the learning curves of losses; logarithmic.
 
@@ -339,7 +339,7 @@ def figure(store: Store, found: Sequence[Contrast], curves_for: int) -> Figure:
     curves_for
         The number of hostiles of the learning curves.
     """
-    page = figures._page(figures.PAGE, 3.2)
+    page = figures.page(figures.PAGE, 3.2)
     left, right = page.subplots(1, 2, width_ratios=(2, 3))
     arms = main_arms(SELECTIONS[0])
     numbers = sorted({c.hostiles for c in found})

@@ -77,7 +77,7 @@ _LOOK: Any = {
 WEAPONS = ("no weapon robot", "1 to m − 1 weapon robots", "m or more weapon robots")
 
 
-def _styled(function: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled(function: Callable[P, Figure]) -> Callable[P, Figure]:
     """Draw with our look, whatever the reader's own settings."""
 
     @wraps(function)
@@ -111,10 +111,10 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, Path]:
     return folder / f"{name}.png", folder / f"{name}.svg"
 
 
-@_styled
+@styled
 def figure1(building: Building) -> Figure:
     """Draw a building as a plan (a) and as its graph (b)."""
-    figure = _page(PAGE, 3.9)
+    figure = page(PAGE, 3.9)
     left, right = figure.subplots(1, 2)
     draw.draw_plan(building, left)
     draw.draw_graph(building, right)
@@ -150,7 +150,7 @@ def _taken_legend(ax: Axes) -> tuple[list[Any], list[str]]:
     return list(legend.legend_handles), [text.get_text() for text in legend.get_texts()]
 
 
-@_styled
+@styled
 def figure2(building: Building, node: int, goal: int, sharpness: float = 1.0) -> Figure:
     """Draw the shares by which robots divide at an intersection.
 
@@ -166,7 +166,7 @@ def figure2(building: Building, node: int, goal: int, sharpness: float = 1.0) ->
     for name, value in (("node", node), ("goal", goal)):
         if not 0 <= value < building.n_nodes:
             raise TaskliftError(f"figure2, {name}: expected 0 to {building.n_nodes - 1}, found {value}")
-    figure = _page(PAGE, 3.9)
+    figure = page(PAGE, 3.9)
     left, right = figure.subplots(1, 2)
     here = slice(building.indptr[node], building.indptr[node + 1])
     for k, sector in enumerate(sectors(building, node)):
@@ -236,7 +236,7 @@ def _label_ways(building: Building, ax: Axes, node: int, shares: NDArray[np.floa
     ax.plot(*here, "o", color=_INK, markersize=7, markeredgecolor="white", zorder=5)
 
 
-@_styled
+@styled
 def figure3(survey: Survey, a: int, b: int) -> Figure:
     """Draw two surveyed maps and what V taught about CA there: mean weights of the odd seeds, 95 % bands.
 
@@ -247,7 +247,7 @@ def figure3(survey: Survey, a: int, b: int) -> Figure:
     a, b
         Places in ``survey.maps``; see :meth:`tasklift.paper.survey.Survey.choose`.
     """
-    figure = _page(PAGE, 5.6)
+    figure = page(PAGE, 5.6)
     axes = figure.subplots(2, 2, height_ratios=[1.3, 1])
     axes[1, 1].sharey(axes[1, 0])
     for place, letters, (above, below) in ((a, "ac", axes[:, 0]), (b, "bd", axes[:, 1])):
@@ -284,7 +284,7 @@ def figure3(survey: Survey, a: int, b: int) -> Figure:
 _PANELS = (("steps", "steps"), ("robots_left", "robots left"), ("teams_left", "teams left"))
 
 
-@_styled
+@styled
 def figure4(
     store: Store,
     reading: str,
@@ -310,7 +310,7 @@ def figure4(
     """
     from matplotlib.ticker import MaxNLocator
 
-    figure = _page(PAGE, 4.9)
+    figure = page(PAGE, 4.9)
     axes = figure.subplots(2, 3, sharex=True, sharey="col")
     top: dict[str, float] = {"steps": store.spec.settings["limit"]}
     top["robots_left"] = top["teams_left"] = sum(n for *_, n in store.spec.settings["team"])
@@ -350,7 +350,7 @@ def figure4(
     return figure
 
 
-@_styled
+@styled
 def figure5(move_weights: ArrayLike) -> Figure:
     """Draw the weights of stopping and moving by feature, a panel per class of weapons.
 
@@ -362,7 +362,7 @@ def figure5(move_weights: ArrayLike) -> Figure:
     values = np.asarray(move_weights, dtype=np.float64)
     if values.shape != (3, 5, 2):
         raise TaskliftError(f"figure5: expected weights of shape (3, 5, 2), found {values.shape}")
-    figure = _page(PAGE, 2.9)
+    figure = page(PAGE, 2.9)
     axes: Any = figure.subplots(1, 3, subplot_kw={"projection": "3d"})
     ticks = np.arange(1, 6)
     for n, ax in enumerate(axes):
@@ -382,7 +382,8 @@ def figure5(move_weights: ArrayLike) -> Figure:
     return figure
 
 
-def _page(width: float, height: float) -> Figure:
+def page(width: float, height: float) -> Figure:
+    """Return an empty figure of that size (inches), with our spacing and no global state."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")

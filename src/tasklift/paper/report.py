@@ -19,12 +19,12 @@ from tasklift.lab.charts import Series
 from tasklift.lab.report import Report
 from tasklift.paper.arms import ARMS
 from tasklift.paper.claims import CLAIMS, LAST, Finding, Sample, holm_adjusted
+from tasklift.paper.figures import WEAPONS
 from tasklift.paper.study import Study
 
 #: Arms in the curves, in the order of their colours.
 DRAWN = ("direct", "copy", "copy+prior", "prior", "expert")
 FEATURES = ("1 none", "2 bend", "3 corner", "4 door (enemy)", "5 other")
-WEAPONS = ("no weapon robot", "1 to m−1 weapon robots", "m or more weapon robots")
 
 
 def prepare_folder(out: Path) -> Path:

@@ -17,6 +17,7 @@ from tasklift.plans.ros import Plan
 
 _EIGHT = np.ones((3, 3), bool)
 DOOR_RULES = ("relative", "absolute")
+BEYOND_M = 1.5
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Settings:
     frame_m: float = 1.75
     leaf_m: float = 1.1
     deep_frame_m: float = 3.0
-    through_elongation: float = 1.5
+    through_elongation: float = 1.7
     mouth_elongation: float = 1.4
     mouth_share: float = 0.52
     hall_half_width_m: float = 1.8
@@ -247,6 +248,12 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
     openings = _openings(space, settings, region)
     measure = measure_regions(space, region, openings)
     is_room = measure.rooms(settings)
+    for opening in openings:
+        # a piece of corridor between two doors is no room, however short: it goes on beyond the door
+        if opening.is_door and _goes_on(space, opening):
+            for r in opening.regions:
+                narrow = measure.peak_m[r] < settings.hall_half_width_m and measure.exits[r] >= 2
+                is_room[r] = is_room[r] and not narrow
     if not openings:
         is_room[:] = False  # one space alone: its inner structure is all there is
     walls = _Walls(space, settings)
@@ -419,6 +426,23 @@ def _sides(
     return ((region == a) * beyond * np.where(share > 0, 1, np.where(share < 0, 2, 0))).astype(np.int8)
 
 
+def _goes_on(space: Space, opening: Opening) -> bool:
+    """Whether a door stands across a corridor: straight ahead it is as wide on one side as on the other."""
+    half = float(space.half_width_m[opening.pixel])
+    ends = jambs(space.free, opening.pixel, half / space.cell_m)
+    if ends is None:
+        return False
+    across = np.subtract(ends[1], ends[0]) / np.hypot(*np.subtract(ends[1], ends[0]))
+    ahead = np.array([-across[1], across[0]]) * BEYOND_M / space.cell_m
+    widths = []
+    for sign in (-1, 1):
+        row, column = np.rint(opening.pixel + sign * ahead).astype(int).tolist()
+        if not (0 <= row < space.free.shape[0] and 0 <= column < space.free.shape[1]):
+            return False
+        widths.append(float(space.half_width_m[row, column]))
+    return min(widths) > 1.2 * half and max(widths) < 1.15 * min(widths)
+
+
 def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArray[np.int32]:
     """Join what is no space of its own to its neighbour: slivers, bays, and the two ways around a table."""
     while True:
@@ -473,12 +497,13 @@ class Regions:
         most = settings.room_elongation
         through = np.where(self.openness > 0, settings.mouth_elongation, settings.through_elongation)
         longest = np.where(self.exits <= 1, most, np.minimum(most, through * self.peak_m))
+        narrow = (self.exits >= 2) & (self.peak_m < settings.hall_half_width_m)
         return (
             (self.area_m2 >= settings.smallest_room_m2)
             & (self.peak_m >= settings.room_half_width_m)
             & (self.openness <= settings.room_openness)
             & (self.elongation <= longest)
-            & ~((self.exits >= 2) & (self.peak_m < settings.hall_half_width_m) & (self.mouth > settings.mouth_share))
+            & ~(narrow & (self.mouth > settings.mouth_share))
         )
 
 

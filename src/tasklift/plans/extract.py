@@ -16,16 +16,8 @@ from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, N
 from tasklift.errors import TaskliftError
 from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, trace
 from tasklift.plans.ros import Plan
-from tasklift.plans.segment import (
-    Opening,
-    Regions,
-    Settings,
-    Space,
-    clean,
-    divide,
-    fill_islands,
-    jambs,
-)
+from tasklift.plans.segment import Opening, Regions, divide, jambs
+from tasklift.plans.space import Settings, Space, clean, fill_islands
 
 CORNER_DEGREES = 65.0
 NEAR_DOOR_M = 0.4

@@ -13,7 +13,7 @@ from tasklift.building.graph import FORMAT, Building
 from tasklift.errors import TaskliftError
 from tasklift.plans.edits import apply_edits, read_edits
 from tasklift.plans.ros import Plan, read_ros
-from tasklift.plans.segment import DOOR_RULES, Settings
+from tasklift.plans.space import DOOR_RULES, Settings
 from tasklift.plans.yamls import read_yaml
 
 

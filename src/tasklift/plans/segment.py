@@ -1,104 +1,20 @@
-"""From the pixels of a plan to its spaces: clean, choose the building, divide at the narrow places.
+"""From the free space of a building to its rooms, corridors and doors: dividing it at the narrow places.
 
-Distances are in metres, pixels are square cells of ``cell_m``. ``R`` is the distance of a free pixel to the
-nearest wall: half the width of the space there.
+Regions are what lies between narrow places, openings are those places; some openings are doors, some regions
+are rooms, the others corridors.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.errors import TaskliftError
-from tasklift.plans.ros import Plan
+from tasklift.plans.space import EIGHT, Settings, Space
 
-_EIGHT = np.ones((3, 3), bool)
-DOOR_RULES = ("relative", "absolute")
 BEYOND_M = 1.5
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the extraction goes by; one setting serves all maps.
-
-    Attributes
-    ----------
-    cell_m
-        Finer pictures are made coarser, up to this size of a pixel.
-    opening_m
-        Passages narrower than twice this are closed: beams of a laser scanner are no corridors.
-    speckle_m, furniture_m
-        Islands in free space whose extent is smaller are scanner noise, and furniture; they are counted as
-        obstacles, and not gone around.
-    door_ratio
-        A narrow place divides two spaces if it is narrower than both, close by, by this factor.
-    mouth_ratio
-        It also divides them if it is narrower than the wider of them by this factor: a corridor that opens
-        into a hall without a door frame.
-    door_width_m
-        No door is wider. With ``door_rule`` "absolute", every narrow place below it divides.
-    smallest_room_m2, room_half_width_m, room_elongation
-        A space is a room if it has this area, is at some place twice this wide, and is at most so many times
-        longer than wide; otherwise it is a corridor.
-    prune_m
-        A branch of a corridor that reaches less than this beyond the wall is a niche, no branch.
-    merge_m
-        Junctions closer to each other are one.
-    """
-
-    cell_m: float = 0.05
-    opening_m: float = 0.3
-    speckle_m: float = 0.8
-    furniture_m: float = 2.0
-    door_rule: str = "relative"
-    door_ratio: float = 0.75
-    mouth_ratio: float = 0.6
-    near_m: float = 1.0
-    door_width_m: float = 2.2
-    smallest_room_m2: float = 4.0
-    room_half_width_m: float = 0.7
-    room_elongation: float = 4.0
-    room_openness: float = 0.22
-    bay_share: float = 0.25
-    prune_m: float = 0.5
-    merge_m: float = 1.0
-    merge_share: float = 0.8
-    wall_m: float = 3.0
-    narrowest_m: float = 0.7
-    frame_ratio: float = 0.76
-    corridor_door_ratio: float = 0.65
-    frame_m: float = 1.75
-    leaf_m: float = 1.1
-    deep_frame_m: float = 3.0
-    through_elongation: float = 1.7
-    mouth_elongation: float = 1.4
-    mouth_share: float = 0.52
-    hall_half_width_m: float = 1.8
-    bend_degrees: float = 25.0
-
-
-@dataclass(eq=False)
-class Space:
-    """The free space of one building. All arrays ``(H, W)``; row, column + ``corner`` are the plan's cells."""
-
-    free: NDArray[np.bool_]
-    half_width_m: NDArray[np.float32]
-    filled: NDArray[np.bool_]
-    cell_m: float
-    factor: int
-    corner: tuple[int, int]
-    doubts: list[str] = field(default_factory=list)
-
-    def to_plan(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rows and columns of the plan, in its pixels, of points ``(n, 2)`` given in cells."""
-        return (np.asarray(points, float) + 0.5 + self.corner) * self.factor
-
-    def to_cells(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Cells of points ``(n, 2)`` given in the plan's pixels; undoes :meth:`to_plan`."""
-        return np.asarray(points, float) / self.factor - self.corner - 0.5
 
 
 @dataclass(eq=False)
@@ -112,110 +28,6 @@ class Opening:
     regions: tuple[int, int]
     width_m: float
     is_door: bool
-
-
-def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = None) -> Space:
-    """Return the free space of the building in ``plan``, without noise, beams, furniture, and the outdoors.
-
-    ``seeds`` are points in it, rows and columns ``(n, 2)`` of the plan's pixels.
-
-    Raises
-    ------
-    TaskliftError
-        If the plan holds no free space, or none of the seeds is on any.
-    """
-    from scipy import ndimage
-
-    doubts: list[str] = []
-    factor = max(1, int(settings.cell_m / plan.resolution_m + 1e-6))
-    cell = plan.resolution_m * factor
-    free = _coarser(plan.free, factor)
-    if not free.any():
-        raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
-    free = np.pad(free, 1)
-    filled = fill_islands(free, settings.speckle_m / cell)
-    free = free | filled
-    radius = settings.opening_m / cell
-    core = ndimage.distance_transform_edt(free) > radius
-    if not core.any():
-        raise TaskliftError(
-            f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right?"
-        )
-    opened = ndimage.distance_transform_edt(~core) <= radius
-    inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
-    chosen = _choose(plan.name, opened, cell, inside, doubts)
-    rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
-    box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
-    chosen, filled = chosen[box], filled[box]
-    furniture = fill_islands(chosen, settings.furniture_m / cell)
-    filled = (filled | furniture) & (chosen | furniture)
-    chosen = chosen | furniture
-    half = (ndimage.distance_transform_edt(chosen) * cell).astype(np.float32)
-    corner = int(rows[0]) - 2, int(columns[0]) - 2
-    return Space(chosen, half, filled, cell, factor, corner, doubts)
-
-
-def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
-    """One cell per ``factor`` x ``factor`` pixels, free if all of them are: walls never vanish."""
-    if factor == 1:
-        return free
-    height, width = (-(-n // factor) * factor for n in free.shape)
-    padded = np.zeros((height, width), bool)
-    padded[: free.shape[0], : free.shape[1]] = free
-    blocks = padded.reshape(height // factor, factor, width // factor, factor)
-    return np.asarray(blocks.all(axis=(1, 3)))
-
-
-def fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
-    """The pieces of ``~free`` that are smaller than ``extent`` cells either way and do not touch the edge.
-
-    By extent and not by area, which would also take wall stubs.
-    """
-    from scipy import ndimage
-
-    label, n = ndimage.label(~free, structure=_EIGHT)
-    small = np.zeros(n + 1, bool)
-    for i, (rows, columns) in enumerate(ndimage.find_objects(label), start=1):
-        inside = rows.start > 0 and columns.start > 0
-        inside = inside and rows.stop < free.shape[0] and columns.stop < free.shape[1]
-        small[i] = inside and max(rows.stop - rows.start, columns.stop - columns.start) < extent
-    return small[label]
-
-
-def _choose(
-    name: str, opened: NDArray[np.bool_], cell: float, seeds: NDArray[np.int64] | None, doubts: list[str]
-) -> NDArray[np.bool_]:
-    """The piece of free space with most of the seeds in it, or the largest that is not the outdoors."""
-    from scipy import ndimage
-
-    label, n = ndimage.label(opened)
-    area = np.bincount(label.ravel(), minlength=n + 1) * cell**2
-    area[0] = 0
-    if seeds is not None:
-        within = seeds[((seeds >= 0) & (seeds < label.shape)).all(axis=1)]
-        votes = np.bincount(label[tuple(within.T)], minlength=n + 1)
-        votes[0] = 0
-        if not votes.any():
-            raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
-        chosen: NDArray[np.bool_] = np.isin(label, np.argmax(votes))
-        return chosen
-    # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
-    edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
-    outdoors = np.bincount(edge, minlength=n + 1) > 0.25 * len(edge)
-    outdoors[0] = False
-    bounded = np.where(outdoors, 0, area)
-    best = int(np.argmax(bounded)) if bounded.max() > 0 else int(np.argmax(area))
-    if outdoors[best]:
-        doubts.append("the free space runs along the picture's edge: is the outdoors taken for the building?")
-    elif outdoors.any():
-        doubts.append(f"{area[outdoors].sum():.0f} m² along the picture's edge were taken for the outdoors")
-    others = [float(a) for i, a in enumerate(area) if i != best and not outdoors[i] and a >= 4.0]
-    if others:
-        doubts.append(
-            f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
-            f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
-        )
-    return np.isin(label, best)
 
 
 def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening], Regions, NDArray[np.bool_]]:
@@ -551,7 +363,7 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
         rows, columns = np.divmod(np.unique(pixels), width)
         patch = np.zeros((np.ptp(rows) + 1, np.ptp(columns) + 1), bool)
         patch[rows - rows.min(), columns - columns.min()] = True
-        stretch = ndimage.label(patch, structure=_EIGHT)[0][rows - rows.min(), columns - columns.min()]
+        stretch = ndimage.label(patch, structure=EIGHT)[0][rows - rows.min(), columns - columns.min()]
         for s in range(1, stretch.max() + 1):
             r, c = rows[stretch == s], columns[stretch == s]
             best = int(np.argmax(half[r * width + c]))
@@ -600,7 +412,7 @@ class _Walls:
         from scipy import ndimage
 
         self.space = space
-        self.label, n = ndimage.label(~space.free, structure=_EIGHT)
+        self.label, n = ndimage.label(~space.free, structure=EIGHT)
         self.is_wall = np.zeros(n + 1, bool)
         for i, (rows, columns) in enumerate(ndimage.find_objects(self.label), start=1):
             extent = max(rows.stop - rows.start, columns.stop - columns.start) * space.cell_m

@@ -106,7 +106,8 @@ def document(trace):
 
 
 @pytest.fixture(scope="module")
-def three(mission):
+def three():
+    mission = Mission(generate(seed=7), {SCOUT: 6, WEAPON: 4}, limit=100)
     policy = Policy.equal(mission.task, 1.5)
     traces = [mission.simulator.trace(policy, seed=0, trial=trial) for trial in range(3)]
     return replay([(f"trial {i + 1}", t) for i, t in enumerate(traces)], "Three trials")
@@ -318,7 +319,7 @@ def test_it_plays_to_the_end_and_from_the_beginning(show, three):
     tab.click("#play")
     tab.wait_for_selector("body.playing")
     assert tab.locator("#play").get_attribute("aria-label") == "Pause"
-    tab.wait_for_selector("body:not(.playing)", timeout=20_000)
+    tab.wait_for_selector("body:not(.playing)", timeout=60_000)
     assert now(tab) == last
     for panel in range(3):
         assert "step" not in stats(tab, panel)["chip"].split()[:1]

@@ -168,6 +168,9 @@ class Scene {
       pen.lineJoin = "round";
       pen.stroke(this.plan.walls);
     }
+    const pen = this.ghost.getContext("2d");
+    this.screen(pen);
+    this.plan.bars.forEach((bar, node) => { if (bar) this.feature(pen, node, palette["ghost-wall"], false); });
   }
 
   /** Bring `known` to frame t; every change is its own reversal. */
@@ -341,39 +344,42 @@ class Scene {
     pen.setLineDash([]);
   }
 
-  /** Doors are bars across the corridor, other features dots; what is resolved steps back. */
+  /** What is known of features; the dim plan has the others. What is resolved steps back. */
   drawFeatures(t) {
     const { pen, trace } = this, { building } = trace;
-    pen.lineCap = "butt";
     for (let node = 0; node < building.n; node++) {
-      const bar = this.plan.bars[node];
-      if (!bar) continue;
-      const [x, y] = this.toScreen(...building.position[node]);
-      if (x < -20 || y < -20 || x > this.width + 20 || y > this.height + 20) continue;
+      if (!this.reached[node] || !this.plan.bars[node]) continue;
       const resolved = trace.resolved[node] >= 0 && trace.resolved[node] <= t;
-      const known = this.reached[node] > 0;
-      pen.strokeStyle = pen.fillStyle = !known ? palette["ghost-wall"] : resolved ? palette.mark : palette.door;
-      if (building.classNames[building.class[node]] === "door") {
-        const [dx, dy] = [bar[0] * this.k, -bar[1] * this.k], gap = resolved ? 0.55 : 0; // an open door leaves a gap
-        pen.lineWidth = known && !resolved ? Math.max(3, Math.min(5, 0.45 * this.k)) : 2;
-        pen.beginPath();
-        for (const side of [-1, 1]) {
-          pen.moveTo(x + side * dx, y + side * dy);
-          pen.lineTo(x + side * gap * dx, y + side * gap * dy);
-        }
-        pen.stroke();
-      } else {
-        pen.beginPath();
-        pen.arc(x, y, known && !resolved ? 2.4 : 1.6, 0, 7);
-        pen.fill();
+      this.feature(pen, node, resolved ? palette.mark : palette.door, resolved);
+    }
+    if (this.pointed >= 0) {
+      const [x, y] = this.toScreen(...building.position[this.pointed]);
+      pen.strokeStyle = palette.accent;
+      pen.lineWidth = 2;
+      pen.beginPath();
+      pen.arc(x, y, 14, 0, 7);
+      pen.stroke();
+    }
+  }
+
+  /** A door is a bar across the corridor, with a gap once it is open; any other feature a dot. */
+  feature(pen, node, colour, open) {
+    const { building } = this.trace, [x, y] = this.toScreen(...building.position[node]);
+    if (x < -20 || y < -20 || x > this.width + 20 || y > this.height + 20) return;
+    pen.strokeStyle = pen.fillStyle = colour;
+    pen.beginPath();
+    if (building.classNames[building.class[node]] === "door") {
+      const bar = this.plan.bars[node], [dx, dy] = [bar[0] * this.k, -bar[1] * this.k], gap = open ? 0.55 : 0;
+      pen.lineCap = "butt";
+      pen.lineWidth = open ? 2 : Math.max(3, Math.min(5, 0.45 * this.k));
+      for (const side of [-1, 1]) {
+        pen.moveTo(x + side * dx, y + side * dy);
+        pen.lineTo(x + side * gap * dx, y + side * gap * dy);
       }
-      if (node === this.pointed) {
-        pen.strokeStyle = palette.accent;
-        pen.lineWidth = 2;
-        pen.beginPath();
-        pen.arc(x, y, 14, 0, 7);
-        pen.stroke();
-      }
+      pen.stroke();
+    } else {
+      pen.arc(x, y, open ? 1.6 : 2.4, 0, 7);
+      pen.fill();
     }
   }
 
@@ -593,8 +599,8 @@ class Scene {
   sprite(kind, level, size) {
     const key = `${kind} ${level} ${size} ${this.ratio} ${palette.paper}`;
     if (!this.sprites.has(key)) {
-      const half = Math.ceil(size + 5), canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
-      canvas.width = canvas.height = 2 * half * this.ratio;
+      const half = Math.ceil(size + 5), width = 2 * half * this.ratio;
+      const canvas = new OffscreenCanvas(width, width), pen = canvas.getContext("2d");
       pen.setTransform(this.ratio, 0, 0, this.ratio, half * this.ratio, half * this.ratio);
       pen.lineJoin = "round";
       if (level > 0) {
@@ -605,7 +611,7 @@ class Scene {
         pen.stroke();
       }
       robotShape(pen, this.trace.kinds, kind, 0, 0, size);
-      this.sprites.set(key, { canvas, half });
+      this.sprites.set(key, { image: canvas.transferToImageBitmap(), half });
     }
     return this.sprites.get(key);
   }
@@ -614,8 +620,8 @@ class Scene {
     const { pen, trace, frame, ratio } = this, size = this.size();
     const whole = (v) => (trace.R > 60 ? Math.round(v * ratio) / ratio : v); // crowds on whole pixels: much faster
     for (const { r, x, y } of this.drawn) {
-      const { canvas, half } = this.sprite(trace.kindOf[r], trace.at("danger", r, frame), size);
-      pen.drawImage(canvas, whole(x - half), whole(y - half), 2 * half, 2 * half);
+      const { image, half } = this.sprite(trace.kindOf[r], trace.at("danger", r, frame), size);
+      pen.drawImage(image, whole(x - half), whole(y - half), 2 * half, 2 * half);
       if (r === this.selected) {
         pen.strokeStyle = palette.accent;
         pen.lineWidth = 2.5;

@@ -20,7 +20,7 @@ from tasklift.paper.arms import PRIOR, learn_source
 from tasklift.policy import Policy
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from oracle import Oracle  # noqa: E402
+from oracle import Oracle
 
 ROUNDS = 5
 

@@ -429,7 +429,9 @@ def _centre_nodes(graph: PathGraph, space: Space) -> None:
         steps = np.where(size > 0.4, (u.T @ (np.array(offset) - n @ at)) / np.maximum(size, 1e-9), 0)
         moved = at + steps @ v
         cell = tuple(int(c) for c in np.rint(moved))
-        far = float(np.hypot(*(moved - at))) * space.cell_m > max(1.0, node.half)
+        # the skeleton cuts an acute corner short by more
+        most = max(1.0, (1.0 if node.role == "path" else 1.5) * node.half)
+        far = float(np.hypot(*(moved - at))) * space.cell_m > most
         if far or min(cell) < 0 or cell[0] >= space.free.shape[0] or cell[1] >= space.free.shape[1]:
             continue
         if np.abs(n @ moved - offset).max() * space.cell_m > 0.4 or not space.free[cell]:

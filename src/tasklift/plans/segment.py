@@ -428,22 +428,27 @@ class _Walls:
 def jambs(
     free: NDArray[np.bool_], pixel: tuple[int, int], half: float
 ) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    """The two wall cells between which a narrow place lies: the nearest one, and the one across.
+    """The two wall cells between which a narrow place lies: the ends of the shortest line across it.
 
-    ``half`` is the distance of the first (cells); ``None`` if nothing is across within 1.5 times that.
+    ``half`` is the distance of the nearest wall (cells); ``None`` if no line is shorter than 1.5 times what
+    that asks for.
     """
-    reach = int(np.ceil(half)) + 1
-    low = [max(0, v - reach) for v in pixel]
-    rows, columns = np.nonzero(~free[low[0] : pixel[0] + reach + 1, low[1] : pixel[1] + reach + 1])
-    if not len(rows):
+    angle = np.arange(36) * (np.pi / 36)
+    away = np.arange(0.5, 3 * half + 2, 0.5)
+    ends = []
+    for sign in (1, -1):
+        rows = np.rint(pixel[0] + sign * np.sin(angle)[:, None] * away).astype(np.int64)
+        columns = np.rint(pixel[1] + sign * np.cos(angle)[:, None] * away).astype(np.int64)
+        inside = (rows >= 0) & (columns >= 0) & (rows < free.shape[0]) & (columns < free.shape[1])
+        wall = ~free[np.where(inside, rows, 0), np.where(inside, columns, 0)] & inside
+        first = np.argmax(wall, axis=1)
+        hit = wall[np.arange(len(angle)), first]
+        ends.append((np.where(hit, away[first], np.inf), rows, columns, first))
+    chord = ends[0][0] + ends[1][0]
+    best = int(np.argmin(chord))
+    if chord[best] > 3 * half + 2:
         return None
-    offset = np.column_stack([rows + low[0] - pixel[0], columns + low[1] - pixel[1]])
-    v = offset[np.argmin((offset**2).sum(axis=1))]
-    first = (int(pixel[0] + v[0]), int(pixel[1] + v[1]))
-    for step in np.arange(1.0, 1.5 * np.hypot(*v) + 1.5, 0.5):
-        at = np.rint(np.array(pixel) - step * v / np.hypot(*v)).astype(int)
-        if (at < 0).any() or (at >= free.shape).any():
-            return None
-        if not free[tuple(at)]:
-            return first, (int(at[0]), int(at[1]))
-    return None
+    (r1, c1), (r2, c2) = (
+        (int(rows[best, first[best]]), int(columns[best, first[best]])) for _, rows, columns, first in ends
+    )
+    return (r1, c1), (r2, c2)

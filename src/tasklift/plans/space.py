@@ -84,9 +84,9 @@ class Settings:
     merge_m: float = 1.0
     merge_share: float = 0.8
     wall_m: float = 3.0
-    narrowest_m: float = 0.7
+    narrowest_m: float = 0.8
     frame_ratio: float = 0.76
-    corridor_door_ratio: float = 0.65
+    corridor_door_ratio: float = 0.6
     frame_m: float = 1.75
     leaf_m: float = 1.1
     deep_frame_m: float = 3.0

@@ -57,7 +57,8 @@ def extract(
     region, openings, measure, is_room = divide(space, settings)
     if not openings:
         # one space without doors: what stands in it is all the structure there is
-        space = clean(plan, replace(settings, speckle_m=LONE_SPECKLE_M, furniture_m=0.0), seeds)
+        settings = replace(settings, speckle_m=LONE_SPECKLE_M, furniture_m=0.0)
+        space = clean(plan, settings, seeds)
         region, openings, measure, is_room = divide(space, settings)
         space.doubts.append("one space without doors: every obstacle in it was gone around")
     if plan.doors_m is not None:

@@ -110,7 +110,7 @@ def run_traces(
     seed
         One of the experiment's seeds.
     arms
-        Names of arms; by default ``direct``, ``copy`` and ``copy+prior``, where they are there.
+        Names of arms; by default ``direct``, ``copy`` and ``copy+prior`` where they are there, else the first three.
     trials
         Numbers, counted from 1; by default the last one.
 
@@ -126,7 +126,8 @@ def run_traces(
         map = _one_of(study.buildings, map, "map")
         if seed >= study.seeds:
             raise TaskliftError(f"{path}: has the seeds 0 to {study.seeds - 1}, not {seed}")
-        arms = list(arms) if arms else [a for a in ("direct", "copy", "copy+prior") if a in study.arms]
+        usual = [arm for arm in ("direct", "copy", "copy+prior") if arm in study.arms]
+        arms = list(arms or usual or study.arms[:3])
         for arm in arms:
             _one_of(study.arms, arm, "arm")
         trials = list(trials) if trials else [study.trials]

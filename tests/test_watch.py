@@ -140,7 +140,7 @@ def test_rows_that_this_release_plays_differently_are_refused(experiment, monkey
 def test_an_experiment_of_another_kind_is_refused(tmp_path):
     with Store.open(tmp_path / FILE_NAME, Spec.of("apples", {"apples": 3})):
         pass
-    with pytest.raises(TaskliftError, match="not an experiment with robots in buildings"):
+    with pytest.raises(TaskliftError, match="watch plays the experiments of"):
         run_traces(tmp_path, reading=None, map=None, seed=0, arms=None, trials=None)
 
 

@@ -167,7 +167,8 @@ def _study(settings: dict[str, Any], where: Path) -> Study:
         if isinstance(error, TaskliftError):
             raise
         raise TaskliftError(
-            f"{where}: not an experiment with robots in buildings ({error!r}); there is nothing to watch"
+            f"{where}: watch plays the experiments of `tasklift reproduce` and `tasklift train`; this one has other "
+            f"settings ({error!r})"
         ) from error
 
 

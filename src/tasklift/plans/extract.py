@@ -93,14 +93,24 @@ def _declared_doors(plan: Plan, space: Space, region: NDArray[np.int32], opening
             taken.add(best)
             pixel = (row, column) if inside else openings[best].pixel
             openings[best] = Opening(pixel, openings[best].regions, width, True)
-        elif inside:
+        elif inside and _stands_across(space, (row, column), space.to_cells(plan.to_pixels(np.array([start, end])))):
             number = int(region[row, column])
             openings.append(Opening((row, column), (number, number), width, True))
             taken.add(len(openings) - 1)
         else:
             x, y = (start + end) / 2
-            space.doubts.append(f"the door at ({x:.1f}, {y:.1f}) m does not lie on the floor; it was left out")
+            space.doubts.append(f"the door at ({x:.1f}, {y:.1f}) m does not part the floor; it was left out")
     return openings
+
+
+def _stands_across(space: Space, pixel: tuple[int, int], ends: Points) -> bool:
+    """Whether a door with these ends (cells) lies along the shortest line across the floor at its middle."""
+    found = jambs(space.free, pixel, float(space.half_width_m[pixel]) / space.cell_m)
+    if found is None:
+        return False
+    line, door = np.subtract(found[1], found[0]), ends[1] - ends[0]
+    length, width = float(np.hypot(*line)), float(np.hypot(*door))
+    return length < 1.6 * width + 4 and abs(float(line @ door)) > 0.8 * length * width
 
 
 def _without_closets(

@@ -7,7 +7,12 @@ from __future__ import annotations
 
 import base64
 import copy
+import os
+import re
 import shutil
+import signal
+import subprocess
+import sys
 import time
 import zlib
 
@@ -328,6 +333,30 @@ def test_it_plays_to_the_end_and_from_the_beginning(show, three):
     assert now(tab) < last
     tab.keyboard.press("Space")
     tab.wait_for_selector("body:not(.playing)")
+
+
+def test_the_command_serves_it_and_the_browser_asks_for_nothing_else(chromium, tmp_path):
+    generate(seed=7).save(tmp_path / "office.json")
+    options = "--arms direct --trial 1 --limit 30 --no-open"
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from tasklift.cli import main; main()", "watch", "office.json", *options.split()],
+        cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    try:
+        url = re.search(r"http://127\.0\.0\.1:\d+/", process.stdout.readline())[0]
+        tab, seen = chromium.new_page(), []
+        tab.on("console", lambda message: seen.append(message.text))
+        tab.on("pageerror", lambda error: seen.append(str(error)))
+        tab.on("request", lambda request: seen.append(request.url))
+        tab.goto(url)
+        ready(tab).wait_for_selector("body.playing")
+        assert tab.locator(".panel .label").inner_text() == "direct"
+        tab.close()
+        assert seen == [url]
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+    assert process.returncode == 0
 
 
 def test_it_starts_by_itself_unless_asked_to_move_less(show, three):

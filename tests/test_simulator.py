@@ -12,6 +12,7 @@ from scipy import stats
 
 import oracle as oracle_module
 from oracle import Oracle
+from strategies import missions, reinforcements
 from tasklift.building import kernel
 from tasklift.building.generate import generate
 from tasklift.building.graph import FEATURE
@@ -28,7 +29,6 @@ from tasklift.errors import TaskliftError
 from tasklift.learn import Reinforcement, reinforce
 from tasklift.policy import Policy
 from tasklift.task import Task
-from worlds import missions, reinforcements
 
 CASES = settings(max_examples=500, deadline=None, derandomize=True)
 

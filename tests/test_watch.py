@@ -286,6 +286,6 @@ def test_the_server_answers_on_its_own_address_only_and_ends_with_ctrl_c(buildin
         assert ask("POST", "/")[0] == 501
     finally:
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
     assert "Traceback" not in errors

@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 
 from oracle import Oracle
+from strategies import random_building
 from tasklift.building import COHESIVE, SCOUT, WEAPON, Mission, Reading, generate
 from tasklift.learn import Reinforcement, reinforce
 from tasklift.policy import Policy
 from tasklift.watch import page, replay
 from test_simulator import random_weights
-from worlds import random_building
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

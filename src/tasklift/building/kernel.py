@@ -91,22 +91,20 @@ def _moves(learner, robot):
 
 
 @_inline
-def sense(world, rules, lane):
-    """Find every robot's input (Table I) and who is due for a decision (rule 6)."""
-    robots, sites, teams = lane.robots, lane.sites, lane.teams
-    for i in range(lane.count[0].alive):
-        robot = robots[lane.roster[i]]
-        armed = teams[robot.team].armed
-        weapons = 0 if armed == 0 else (1 if armed < rules.weapons_needed else 2)
-        feature = 1
-        if robot.half < 0 and sites[robot.node].resolved == 0:
-            feature = world.nodes[robot.node].feature
-        goal_known = 1 if _goal(rules, robot) >= 0 else 0
-        row = ((robot.dl * 2 + goal_known) * 3 + weapons) * 5 + feature - 1
-        if row != robot.row or robot.due == 1 or robot.since >= rules.patience:
-            robot.due = 1
-            teams[robot.team].due = 1
+def sense(world, rules, lane, robot):
+    """Find a robot's input (Table I) and whether it is due for a decision (rule 6)."""
+    team = lane.teams[robot.team]
+    weapons = 0 if team.armed == 0 else (1 if team.armed < rules.weapons_needed else 2)
+    feature = 1
+    if robot.half < 0 and lane.sites[robot.node].resolved == 0:
+        feature = world.nodes[robot.node].feature
+    goal_known = 1 if _goal(rules, robot) >= 0 else 0
+    row = ((robot.dl * 2 + goal_known) * 3 + weapons) * 5 + feature - 1
+    if row != robot.row or robot.since >= rules.patience:
+        robot.due = 1
         robot.row = row
+    if robot.due == 1:
+        team.due = 1
 
 
 @_inline
@@ -148,16 +146,22 @@ def draw_output(learner, lane, r, fixed):
 
 @_inline
 def decide(world, rules, learner, lane, fixed):
-    """Let all who are due decide, in robot order; a whole team at once under ``by_team`` (rule 5).
+    """Let all find their inputs, and those who are due decide, in robot order; a whole team under ``by_team`` (rule 5).
 
+    No decision changes an input, so both are done in one pass; a team has to know first whether any member is due.
     Marks the unresolved features at which someone stops, and returns whether there is one.
     """
     robots, teams, sites, count = lane.robots, lane.teams, lane.sites, lane.count[0]
     someone_stops = False
+    if rules.by_team == 1:
+        for i in range(count.alive):
+            sense(world, rules, lane, robots[lane.roster[i]])
     for i in range(count.alive):
         r = lane.roster[i]
         robot = robots[r]
         team = teams[robot.team]
+        if rules.by_team == 0:
+            sense(world, rules, lane, robot)
         if (team.due if rules.by_team == 1 else robot.due) == 1:
             if rules.by_team == 1 and team.lead != r:
                 robot.out = robots[team.lead].out
@@ -432,23 +436,21 @@ def move(world, rules, learner, lane):
 
 
 @_inline
-def team_of(world, lane, robot):
-    """Return the number of the team at a robot's place, ``count.teams`` if it is the first there (rule 4)."""
-    slots, count = lane.slots, lane.count[0]
+def team_at(slots, tick, place, progress, fresh):
+    """Return the number of the team at a place and progress; the first one there founds team ``fresh`` (rule 4)."""
     mask = slots.shape[0] - 1
-    place = robot.node if robot.half < 0 else world.nodes.shape[0] + robot.half
-    address = (np.uint64(place) * _FIRST + np.uint64(robot.progress)) * _GOLDEN
+    address = (np.uint64(place) * _FIRST + np.uint64(progress)) * _GOLDEN
     at = np.int64(address >> np.uint64(32)) & mask
-    while slots[at].tick == count.tick:
-        if slots[at].place == place and slots[at].progress == robot.progress:
+    while slots[at].tick == tick:
+        if slots[at].place == place and slots[at].progress == progress:
             return slots[at].team
         at = (at + 1) & mask
     slot = slots[at]
-    slot.tick = count.tick
+    slot.tick = tick
     slot.place = place
-    slot.progress = robot.progress
-    slot.team = count.teams
-    return count.teams
+    slot.progress = progress
+    slot.team = fresh
+    return fresh
 
 
 @_inline
@@ -457,18 +459,21 @@ def gather(world, lane):
 
     Returns whether any two robots of a team have different maps.
     """
+    # counters are kept in locals: the compiler must fear that any store into an array changes them
     robots, teams, sites, maps, count = lane.robots, lane.teams, lane.sites, lane.maps, lane.count[0]
-    count.teams = 0
-    count.searching = 0
+    tick, n_teams, n_nodes = count.tick, 0, world.nodes.shape[0]
+    searching = 0
     differ = False
     for i in range(count.alive):
         r = lane.roster[i]
         robot = robots[r]
+        half, node = robot.half, robot.node
         robot.since += 1
-        robot.team = team_of(world, lane, robot)
-        team = teams[robot.team]
-        if robot.team == count.teams:
-            count.teams += 1
+        t = team_at(lane.slots, tick, node if half < 0 else n_nodes + half, robot.progress, n_teams)
+        robot.team = t
+        team = teams[t]
+        if t == n_teams:
+            n_teams += 1
             team.lead = r
             team.armed = 0
             team.size = 1
@@ -476,21 +481,23 @@ def gather(world, lane):
             team.learned = 0
         else:
             team.size += 1
+            lead = team.lead
             for w in range(maps.shape[1]):
-                differ |= maps[r, w] != maps[team.lead, w]
+                differ |= maps[r, w] != maps[lead, w]
         member = world.members[r]
         if member.armed == 1:
             if team.armed == 0 or member.speed_mm < team.slowest:
                 team.slowest = member.speed_mm
             team.armed += 1
-        if robot.half < 0:
-            site = sites[robot.node]
-            if site.unsearched > 0 and site.searched != count.tick:
-                site.searched = count.tick
-                site.unsearched -= 1
-                count.searching = 1
-                if site.unsearched == 0:
-                    count.rooms_left -= 1
+        if half < 0 and sites[node].unsearched > 0 and sites[node].searched != tick:
+            site = sites[node]
+            site.searched = tick
+            site.unsearched -= 1
+            searching = 1
+            if site.unsearched == 0:
+                count.rooms_left -= 1
+    count.teams = n_teams
+    count.searching = searching
     return differ
 
 
@@ -536,7 +543,6 @@ def _step(world, rules, learner, lane, fixed):
     count = lane.count[0]
     count.tick += 1
     count.robot_steps += count.alive
-    sense(world, rules, lane)
     someone_stops = decide(world, rules, learner, lane, fixed)
     if count.outside > 0:
         return 3

@@ -102,15 +102,15 @@ def round_trip(seeds: range) -> tuple[int, int]:
 def test_round_trip() -> None:
     exact, near = round_trip(range(10))
     assert exact >= 10
-    assert near >= 8
+    assert near >= 9
 
 
 @pytest.mark.slow
 def test_round_trip_of_a_hundred() -> None:
-    # the bar for the second is 95: oblique corridors of unequal width meet in drawings a metre off their axes
+    # the bar for the second is 95: short wide corridors that bend soon after a junction show no straight axis
     exact, near = round_trip(range(100))
     assert exact >= 97
-    assert near >= 70
+    assert near >= 77
 
 
 def test_small_office_is_exact() -> None:

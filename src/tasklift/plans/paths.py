@@ -6,7 +6,7 @@ Points are rows and columns of cells, lengths are in cells; nothing here knows m
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -160,15 +160,15 @@ class PathGraph:
         keeper.half = max(keeper.half, giver.half)
         self.remove_node(give)
 
-    def move(self, node: int, at: tuple[float, float], clear: float) -> None:
-        """Move a node; its lines go straight there from where they are ``clear`` of its old place."""
+    def move(self, node: int, at: tuple[float, float], clear: Mapping[int, float]) -> None:
+        """Move a node; its lines go straight there from where each is ``clear[edge]`` of its old place."""
         for edge in list(self.incident[node]):
             a, b, line = self.edges[edge]
             if a == b:
                 continue
             line = self.line(edge, node)
             along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-            kept = line[max(1, min(int(np.searchsorted(along, clear)), len(line) - 1)) :]
+            kept = line[max(1, min(int(np.searchsorted(along, clear[edge])), len(line) - 1)) :]
             line = np.concatenate([[at], kept])
             self.edges[edge] = (a, b, line if a == node else line[::-1])
         self.nodes[node].at = at

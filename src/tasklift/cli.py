@@ -337,8 +337,11 @@ def main() -> None:
     except TaskliftError as error:
         click.echo(f"tasklift: {error}", err=True)
         sys.exit(2)
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
+        sys.exit(2)
+    except click.ClickException as error:
+        click.echo(f"tasklift: {error.format_message()}", err=True)
         sys.exit(2)
     except (KeyboardInterrupt, click.Abort) as stop:
         # click turns the interrupt into Abort; its cause may say how to resume

@@ -309,9 +309,8 @@ def test_ctrl_c_in_a_process(tmp_path, digest):
 def test_two_processes_share_a_store(tmp_path, digest):
     path = tmp_path / "e.sqlite"
     both = [start(path, 0.01), start(path, 0.01)]
-    for process in both:
-        _, errors = process.communicate()
-        assert process.returncode == 0, errors.decode()
+    errors = [process.communicate()[1].decode() for process in both]
+    assert [process.returncode for process in both] == [0, 0], errors
     with Store.read(path) as store:
         assert store.digest() == digest
         assert len(store) == len(CELLS)

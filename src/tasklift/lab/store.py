@@ -386,9 +386,11 @@ def _attachment(data: str | bytes) -> Any:
 
 def _is_empty(connection: sqlite3.Connection, path: Path) -> bool:
     """Whether nothing is in the file yet; refuse what is not ours, newer than this release, or damaged."""
+    connection.execute("BEGIN")  # one snapshot: another process may be creating the file at this moment
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    connection.execute("COMMIT")
     if not tables and not application:
         return True
     if application != _APPLICATION:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
+from tasklift.plans.axes import Walls, centre_nodes
 from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, trace
 from tasklift.plans.ros import Plan
 from tasklift.plans.segment import Opening, Regions, divide, jambs
@@ -25,9 +25,6 @@ NEAR_DOOR_M = 0.4
 SHORTEST_RING_M = 1.2
 LONE_SPECKLE_M = 0.2
 DOOR_TOLERANCE_M = 0.75
-CORRIDOR_HALF_WIDTH_M = 2.2
-AXIS_M, SHORTEST_AXIS_M, STRAIGHT_M = 3.0, 0.8, 0.1
-LEAST_ANGLE, MISS_M = 0.4, 0.4
 BEND_TOLERANCE_M = 0.6
 
 
@@ -68,9 +65,10 @@ def extract(
     region, openings, left_out = _without_closets(region, openings, measure, is_room, settings)
     say("tracing the corridors")
     graph = _draw(space, settings, region, openings, is_room)
-    _centre_nodes(graph, space, ("path",))
+    walls = Walls(space)
+    centre_nodes(graph, space, walls, ("path",))
     _name_bends(graph, space, settings)
-    _centre_nodes(graph, space, ("bend", "corner"))
+    centre_nodes(graph, space, walls, ("bend", "corner"))
     _no_parallels(graph)
     say("building the graph")
     return _to_building(plan, space, graph, region, measure, start, left_out)
@@ -415,88 +413,6 @@ def _taut(line: Points, free: NDArray[np.bool_]) -> Points:
             ahead -= 1
         kept.append(ahead)
     return line[corners[kept]]
-
-
-def _centre_nodes(graph: PathGraph, space: Space, roles: tuple[str, ...]) -> None:
-    """Move junctions or bends to where the axes of their corridors meet.
-
-    A skeleton leaves the axis near a junction, towards the wider corridor; people do not.
-    """
-    moves = []
-    for number, node in graph.nodes.items():
-        if node.role not in roles or len(graph.incident[number]) < 2 or node.half > CORRIDOR_HALF_WIDTH_M:
-            continue
-        clear = 1.2 * max(node.half, 0.5) / space.cell_m  # the part of a line that the junction deflects
-        begin = dict.fromkeys(graph.incident[number], clear)
-        normal, offset = [], []
-        for edge in sorted(graph.incident[number]):
-            axis = _axis(graph.line(edge, number), clear, space)
-            if axis is None:
-                door = graph.nodes[graph.other(edge, number)]
-                axis = _door_axis(door, graph.edges[edge][2], clear, space)
-            if axis is not None:
-                normal.append(axis[0])
-                offset.append(axis[1])
-                begin[edge] = axis[2]
-        # the skeleton cuts an acute corner short by more
-        most = max(1.0, (1.0 if node.role == "path" else 1.5) * node.half) / space.cell_m
-        moved = _crossing(np.array(node.at), np.array(normal), np.array(offset), most, space)
-        if moved is not None:
-            moves.append((number, moved, begin))
-    for number, at, begin in moves:
-        graph.move(number, at, begin)
-
-
-def _crossing(at: Points, normal: Points, offset: Points, most: float, space: Space) -> tuple[float, float] | None:
-    """The free point nearest to all axes, at most ``most`` cells from ``at``; one axis may miss it."""
-    for _ in range(min(2, len(normal) - 1)):  # all axes, then without the one that misses most
-        # least squares, held where it is along the axes that all share; they miss where corridors are crooked
-        u, size, v = np.linalg.svd(normal, full_matrices=False)
-        steps = np.where(size > LEAST_ANGLE, (u.T @ (offset - normal @ at)) / np.maximum(size, 1e-9), 0)
-        moved = at + steps @ v
-        cell = tuple(int(c) for c in np.rint(moved))
-        inside = min(cell) >= 0 and cell[0] < space.free.shape[0] and cell[1] < space.free.shape[1]
-        miss = np.abs(normal @ moved - offset)
-        if np.hypot(*(moved - at)) <= most and miss.max() * space.cell_m <= MISS_M and inside and space.free[cell]:
-            return float(moved[0]), float(moved[1])
-        worst = int(np.argmax(miss))
-        normal, offset = np.delete(normal, worst, axis=0), np.delete(offset, worst)
-    return None
-
-
-def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float, float] | None:
-    """The straight corridor along which ``line`` leaves its first point, or ``None``.
-
-    Normal and offset of its axis, and how far along the line it begins: the first straight piece from
-    ``clear`` on.
-    """
-    along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    near = (along >= clear) & (along <= clear + AXIS_M / space.cell_m)
-    part, along = line[near], along[near]
-    if len(part) < 2:
-        return None
-    turns = simplify(part, STRAIGHT_M / space.cell_m)
-    for first, last in pairwise(turns.tolist()):
-        piece = part[first : last + 1]
-        width = space.half_width_m[tuple(np.rint(piece).astype(int).T)]
-        even = np.abs(width - np.median(width)) <= 0.15 * np.median(width)
-        piece = piece[even]
-        if len(piece) < 2 or np.hypot(*(piece[-1] - piece[0])) * space.cell_m < SHORTEST_AXIS_M:
-            continue
-        middle = piece.mean(axis=0)
-        direction = np.linalg.svd(piece - middle, full_matrices=False)[2][0]
-        normal = np.array([-direction[1], direction[0]])
-        return normal, float(normal @ middle), float(along[first:][even.argmax()])
-    return None
-
-
-def _door_axis(door: Node, line: Points, clear: float, space: Space) -> tuple[Points, float, float] | None:
-    """As :func:`_axis`, square to a door's wall, for the short way from a door to its corridor."""
-    if door.role != "door" or door.across is None or line_length(line) * space.cell_m > AXIS_M:
-        return None
-    first, second = (np.array(end, float) for end in door.across)
-    normal = (second - first) / np.hypot(*(second - first))
-    return normal, float(normal @ ((first + second) / 2)), clear
 
 
 def _turn(before: Points, here: Points, after: Points) -> float:

@@ -1,0 +1,172 @@
+"""Where corridors meet: the middle lines between their walls, and the points where those cross.
+
+A skeleton leaves the middle line near a junction, towards the wider corridor, and cuts through a short
+corridor between two bends; people do not. The walls themselves are straight there, and tell the line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify
+from tasklift.plans.space import Space
+
+# corridors wider than twice this have no axis that a person would keep to
+WIDEST_HALF_M = 2.2
+STRAIGHT_M, SHORTEST_WALL_M, NARROWEST_M = 0.1, 0.8, 0.5
+FACING = -0.97  # of the walls' normals: two walls are parallel within 14 degrees
+AHEAD = 0.6  # of a corridor's axis and the line through it
+AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M = 3.0, 0.8, 0.3
+LEAST_ANGLE, MISS_M = 0.4, 0.4
+
+
+class Walls:
+    """The outline of a space as straight walls, row by row: a point on each, its direction, the side of the floor.
+
+    ``middle``, ``ahead`` and ``inward`` are ``float64 (W, 2)`` in cells, the latter two of length one;
+    ``reach (W, 2)`` says how far (cells) a wall extends from its middle, back and ahead.
+    """
+
+    def __init__(self, space: Space):
+        from scipy.spatial import KDTree
+        from skimage.measure import find_contours
+
+        rows: list[tuple[Points, Points, float, float]] = []
+        points, owner = [], []
+        for outline in find_contours(space.free.astype(np.float32), 0.5):
+            corners = simplify(outline, STRAIGHT_M / space.cell_m)
+            for first, last in zip(corners[:-1].tolist(), corners[1:].tolist(), strict=True):
+                piece = outline[first : last + 1]
+                middle = piece.mean(axis=0)
+                ahead = _direction(piece - middle, piece[-1] - piece[0])
+                along = (piece - middle) @ ahead
+                points.append(piece)
+                owner.append(np.full(len(piece), len(rows)))
+                rows.append((middle, ahead, float(along.min()), float(along.max())))
+        self.middle = np.array([row[0] for row in rows])
+        self.ahead = np.array([row[1] for row in rows])
+        # find_contours keeps the larger values, the floor, on one side
+        self.inward = np.column_stack([self.ahead[:, 1], -self.ahead[:, 0]])
+        self.reach = np.array([row[2:] for row in rows])
+        self._owner = np.concatenate(owner)
+        self._tree = KDTree(np.concatenate(points))
+
+    def near(self, point: Points, radius: float) -> NDArray[np.int64]:
+        """The walls within ``radius`` of a point."""
+        return np.unique(self._owner[self._tree.query_ball_point(point, radius)])
+
+    def beside(self, walls: NDArray[np.int64], point: Points) -> Points:
+        """The points ``(n, 2)`` on the lines of these walls that are nearest to a point."""
+        ahead = self.ahead[walls]
+        return self.middle[walls] + ((point - self.middle[walls]) * ahead).sum(axis=1)[:, None] * ahead
+
+
+def _direction(offsets: Points, towards: Points) -> Points:
+    """The direction in which points with these offsets from their mean extend, ``towards`` rather than back."""
+    direction = np.linalg.svd(offsets, full_matrices=False)[2][0]
+    return direction if direction @ towards >= 0 else -direction
+
+
+def centre_nodes(graph: PathGraph, space: Space, walls: Walls, roles: tuple[str, ...]) -> None:
+    """Move the nodes of these roles to where the axes of their corridors meet."""
+    moves = []
+    for number, node in graph.nodes.items():
+        if node.role not in roles or len(graph.incident[number]) < 2 or node.half > WIDEST_HALF_M:
+            continue
+        clear = 1.2 * max(node.half, 0.5) / space.cell_m  # the part of a line that the junction deflects
+        begin = dict.fromkeys(graph.incident[number], clear)
+        normal, offset = [], []
+        for edge in sorted(graph.incident[number]):
+            axis = _axis(graph.line(edge, number), clear, space, walls)
+            if axis is None:
+                door = graph.nodes[graph.other(edge, number)]
+                axis = _door_axis(door, graph.edges[edge][2], clear, space)
+            if axis is not None:
+                normal.append(axis[0])
+                offset.append(axis[1])
+                begin[edge] = axis[2]
+        most = max(1.0, 2.0 * node.half) / space.cell_m
+        moved = _crossing(np.array(node.at), np.array(normal), np.array(offset), most, space)
+        if moved is not None:
+            moves.append((number, moved, begin))
+    for number, at, begin in moves:
+        graph.move(number, at, begin)
+
+
+def _crossing(at: Points, normal: Points, offset: Points, most: float, space: Space) -> tuple[float, float] | None:
+    """The free point nearest to all axes, at most ``most`` cells from ``at``; one axis may miss it."""
+    for _ in range(min(2, len(normal) - 1)):  # all axes, then without the one that misses most
+        # least squares, held where it is along the axes that all share; they miss where corridors are crooked
+        u, size, v = np.linalg.svd(normal, full_matrices=False)
+        steps = np.where(size > LEAST_ANGLE, (u.T @ (offset - normal @ at)) / np.maximum(size, 1e-9), 0)
+        moved = at + steps @ v
+        cell = tuple(int(c) for c in np.rint(moved))
+        inside = min(cell) >= 0 and cell[0] < space.free.shape[0] and cell[1] < space.free.shape[1]
+        miss = np.abs(normal @ moved - offset)
+        if np.hypot(*(moved - at)) <= most and miss.max() * space.cell_m <= MISS_M and inside and space.free[cell]:
+            return float(moved[0]), float(moved[1])
+        worst = int(np.argmax(miss))
+        normal, offset = np.delete(normal, worst, axis=0), np.delete(offset, worst)
+    return None
+
+
+def _axis(line: Points, clear: float, space: Space, walls: Walls) -> tuple[Points, float, float] | None:
+    """The straight corridor along which ``line`` leaves its first point, or ``None``.
+
+    Normal and offset of its axis, and how far along the line it begins. It is the corridor between the first
+    two walls that the line follows for long enough: near a junction it crosses others.
+    """
+    along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    window = np.flatnonzero(along <= clear + AXIS_M / space.cell_m)
+    followed: dict[tuple[int, int], tuple[int, int]] = {}
+    best, most = None, SHORT_AXIS_M / space.cell_m
+    for i in window[1 :: max(1, round(0.1 / space.cell_m))].tolist():
+        towards = line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)]
+        half = float(space.half_width_m[tuple(np.rint(line[i]).astype(int))]) / space.cell_m
+        near = walls.near(line[i], 1.1 * half + 2)
+        for pair in _facing(line[i], towards / max(np.hypot(*towards), 1e-9), near, space, walls):
+            first, _ = followed.setdefault(pair, (i, i))
+            followed[pair] = (first, i)
+            progress = abs(float((line[i] - line[first]) @ walls.ahead[pair[0]]))
+            if progress > most:
+                best, most = pair, progress
+        if most >= SHORTEST_AXIS_M / space.cell_m:
+            break
+    if best is None:
+        return None
+    first, last = followed[best]
+    normal, offset = _middle(line[(first + last) // 2], best, walls)
+    return normal, offset, float(along[first])
+
+
+def _facing(
+    point: Points, towards: Points, near: NDArray[np.int64], space: Space, walls: Walls
+) -> list[tuple[int, int]]:
+    """Those of the walls ``near`` that face each other across a line through a point that leads ``towards``."""
+    long = (walls.reach[near, 1] - walls.reach[near, 0]) * space.cell_m >= SHORTEST_WALL_M
+    near = near[long & (np.abs(walls.ahead[near] @ towards) > AHEAD)]
+    inward, beside = walls.inward[near], walls.beside(near, point)
+    first, second = np.nonzero(np.triu(inward @ inward.T < FACING))
+    apart = ((beside[second] - beside[first]) * inward[first]).sum(axis=1) * space.cell_m
+    between = ((point - beside) * inward).sum(axis=1) > 0
+    fits = (apart >= NARROWEST_M) & (apart <= 2 * WIDEST_HALF_M) & between[first] & between[second]
+    return list(zip(near[first[fits]].tolist(), near[second[fits]].tolist(), strict=True))
+
+
+def _middle(point: Points, pair: tuple[int, int], walls: Walls) -> tuple[Points, float]:
+    """Normal and offset of the middle line between two walls that face each other, where it passes a point."""
+    index = np.array(pair)
+    length = walls.reach[index, 1] - walls.reach[index, 0]
+    normal = length[0] * walls.inward[pair[0]] - length[1] * walls.inward[pair[1]]
+    normal /= np.hypot(*normal)
+    return normal, float(normal @ walls.beside(index, point).mean(axis=0))
+
+
+def _door_axis(door: Node, line: Points, clear: float, space: Space) -> tuple[Points, float, float] | None:
+    """As :func:`_axis`, square to a door's wall, for the short way from a door to its corridor."""
+    if door.role != "door" or door.across is None or line_length(line) * space.cell_m > AXIS_M:
+        return None
+    first, second = (np.array(end, float) for end in door.across)
+    normal = (second - first) / np.hypot(*(second - first))
+    return normal, float(normal @ ((first + second) / 2)), clear

@@ -9,66 +9,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify
+from tasklift.plans.outline import Outline
+from tasklift.plans.paths import Node, PathGraph, Points, line_length
 from tasklift.plans.space import Space
 
 # corridors wider than twice this have no axis that a person would keep to
 WIDEST_HALF_M = 2.2
-STRAIGHT_M, SHORTEST_WALL_M, NARROWEST_M = 0.1, 0.8, 0.5
+SHORTEST_WALL_M, NARROWEST_M = 0.8, 0.5
 FACING = -0.97  # of the walls' normals: two walls are parallel within 14 degrees
 AHEAD = 0.6  # of a corridor's axis and the line through it
 AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M = 3.0, 0.8, 0.3
 LEAST_ANGLE, MISS_M = 0.4, 0.4
 
 
-class Walls:
-    """The outline of a space as straight walls, row by row: a point on each, its direction, the side of the floor.
-
-    ``middle``, ``ahead`` and ``inward`` are ``float64 (W, 2)`` in cells, the latter two of length one;
-    ``reach (W, 2)`` says how far (cells) a wall extends from its middle, back and ahead.
-    """
-
-    def __init__(self, space: Space):
-        from scipy.spatial import KDTree
-        from skimage.measure import find_contours
-
-        rows: list[tuple[Points, Points, float, float]] = []
-        points, owner = [], []
-        for outline in find_contours(space.free.astype(np.float32), 0.5):
-            corners = simplify(outline, STRAIGHT_M / space.cell_m)
-            for first, last in zip(corners[:-1].tolist(), corners[1:].tolist(), strict=True):
-                piece = outline[first : last + 1]
-                middle = piece.mean(axis=0)
-                ahead = _direction(piece - middle, piece[-1] - piece[0])
-                along = (piece - middle) @ ahead
-                points.append(piece)
-                owner.append(np.full(len(piece), len(rows)))
-                rows.append((middle, ahead, float(along.min()), float(along.max())))
-        self.middle = np.array([row[0] for row in rows])
-        self.ahead = np.array([row[1] for row in rows])
-        # find_contours keeps the larger values, the floor, on one side
-        self.inward = np.column_stack([self.ahead[:, 1], -self.ahead[:, 0]])
-        self.reach = np.array([row[2:] for row in rows])
-        self._owner = np.concatenate(owner)
-        self._tree = KDTree(np.concatenate(points))
-
-    def near(self, point: Points, radius: float) -> NDArray[np.int64]:
-        """The walls within ``radius`` of a point."""
-        return np.unique(self._owner[self._tree.query_ball_point(point, radius)])
-
-    def beside(self, walls: NDArray[np.int64], point: Points) -> Points:
-        """The points ``(n, 2)`` on the lines of these walls that are nearest to a point."""
-        ahead = self.ahead[walls]
-        return self.middle[walls] + ((point - self.middle[walls]) * ahead).sum(axis=1)[:, None] * ahead
-
-
-def _direction(offsets: Points, towards: Points) -> Points:
-    """The direction in which points with these offsets from their mean extend, ``towards`` rather than back."""
-    direction = np.linalg.svd(offsets, full_matrices=False)[2][0]
-    return direction if direction @ towards >= 0 else -direction
-
-
-def centre_nodes(graph: PathGraph, space: Space, walls: Walls, roles: tuple[str, ...]) -> None:
+def centre_nodes(graph: PathGraph, space: Space, roles: tuple[str, ...]) -> None:
     """Move the nodes of these roles to where the axes of their corridors meet."""
     moves = []
     for number, node in graph.nodes.items():
@@ -78,7 +32,7 @@ def centre_nodes(graph: PathGraph, space: Space, walls: Walls, roles: tuple[str,
         begin = dict.fromkeys(graph.incident[number], clear)
         normal, offset = [], []
         for edge in sorted(graph.incident[number]):
-            axis = _axis(graph.line(edge, number), clear, space, walls)
+            axis = _axis(graph.line(edge, number), clear, space)
             if axis is None:
                 door = graph.nodes[graph.other(edge, number)]
                 axis = _door_axis(door, graph.edges[edge][2], clear, space)
@@ -111,7 +65,7 @@ def _crossing(at: Points, normal: Points, offset: Points, most: float, space: Sp
     return None
 
 
-def _axis(line: Points, clear: float, space: Space, walls: Walls) -> tuple[Points, float, float] | None:
+def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float, float] | None:
     """The straight corridor along which ``line`` leaves its first point, or ``None``.
 
     Normal and offset of its axis, and how far along the line it begins. It is the corridor between the first
@@ -124,11 +78,11 @@ def _axis(line: Points, clear: float, space: Space, walls: Walls) -> tuple[Point
     for i in window[1 :: max(1, round(0.1 / space.cell_m))].tolist():
         towards = line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)]
         half = float(space.half_width_m[tuple(np.rint(line[i]).astype(int))]) / space.cell_m
-        near = walls.near(line[i], 1.1 * half + 2)
-        for pair in _facing(line[i], towards / max(np.hypot(*towards), 1e-9), near, space, walls):
+        near = space.outline.near(line[i], 1.1 * half + 2)
+        for pair in _facing(line[i], towards / max(np.hypot(*towards), 1e-9), near, space):
             first, _ = followed.setdefault(pair, (i, i))
             followed[pair] = (first, i)
-            progress = abs(float((line[i] - line[first]) @ walls.ahead[pair[0]]))
+            progress = abs(float((line[i] - line[first]) @ space.outline.ahead[pair[0]]))
             if progress > most:
                 best, most = pair, progress
         if most >= SHORTEST_AXIS_M / space.cell_m:
@@ -136,15 +90,16 @@ def _axis(line: Points, clear: float, space: Space, walls: Walls) -> tuple[Point
     if best is None:
         return None
     first, last = followed[best]
-    normal, offset = _middle(line[(first + last) // 2], best, walls)
+    normal, offset = _middle(line[(first + last) // 2], best, space.outline)
     return normal, offset, float(along[first])
 
 
 def _facing(
-    point: Points, towards: Points, near: NDArray[np.int64], space: Space, walls: Walls
+    point: Points, towards: Points, near: NDArray[np.int64], space: Space
 ) -> list[tuple[int, int]]:
     """Those of the walls ``near`` that face each other across a line through a point that leads ``towards``."""
-    long = (walls.reach[near, 1] - walls.reach[near, 0]) * space.cell_m >= SHORTEST_WALL_M
+    walls = space.outline
+    long = walls.length[near] * space.cell_m >= SHORTEST_WALL_M
     near = near[long & (np.abs(walls.ahead[near] @ towards) > AHEAD)]
     inward, beside = walls.inward[near], walls.beside(near, point)
     first, second = np.nonzero(np.triu(inward @ inward.T < FACING))
@@ -154,11 +109,10 @@ def _facing(
     return list(zip(near[first[fits]].tolist(), near[second[fits]].tolist(), strict=True))
 
 
-def _middle(point: Points, pair: tuple[int, int], walls: Walls) -> tuple[Points, float]:
+def _middle(point: Points, pair: tuple[int, int], walls: Outline) -> tuple[Points, float]:
     """Normal and offset of the middle line between two walls that face each other, where it passes a point."""
     index = np.array(pair)
-    length = walls.reach[index, 1] - walls.reach[index, 0]
-    normal = length[0] * walls.inward[pair[0]] - length[1] * walls.inward[pair[1]]
+    normal = walls.length[pair[0]] * walls.inward[pair[0]] - walls.length[pair[1]] * walls.inward[pair[1]]
     normal /= np.hypot(*normal)
     return normal, float(normal @ walls.beside(index, point).mean(axis=0))
 

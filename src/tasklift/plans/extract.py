@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
-from tasklift.plans.axes import Walls, centre_nodes
-from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, trace
+from tasklift.plans.axes import centre_nodes
+from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, straight, trace
 from tasklift.plans.ros import Plan
 from tasklift.plans.segment import Opening, Regions, divide, jambs
 from tasklift.plans.space import Settings, Space, clean, fill_islands
@@ -65,10 +65,9 @@ def extract(
     region, openings, left_out = _without_closets(region, openings, measure, is_room, settings)
     say("tracing the corridors")
     graph = _draw(space, settings, region, openings, is_room)
-    walls = Walls(space)
-    centre_nodes(graph, space, walls, ("path",))
+    centre_nodes(graph, space, ("path",))
     _name_bends(graph, space, settings)
-    centre_nodes(graph, space, walls, ("bend", "corner"))
+    centre_nodes(graph, space, ("bend", "corner"))
     _no_parallels(graph)
     say("building the graph")
     return _to_building(plan, space, graph, region, measure, start, left_out)
@@ -191,7 +190,7 @@ def _bar(barred: NDArray[np.bool_], space: Space, opening: Opening) -> tuple[tup
     ends = jambs(space.free, opening.pixel, opening.width_m / 2 / space.cell_m)
     if ends is None:
         return None
-    line = _straight(*(np.array(end) for end in ends))
+    line = straight(*(np.array(end) for end in ends))
     across = np.subtract(ends[1], ends[0]) / np.hypot(*np.subtract(ends[1], ends[0]))
     sides = []
     for sign in (-1, 1):
@@ -289,9 +288,9 @@ class _Leads:
         from skimage.graph import MCP_Geometric
 
         distance, nearest = self.tree.query(point)
-        straight = _straight(np.array(point), self.cells[nearest])
-        if self.mask[tuple(straight[1:].T)].all():
-            return straight.astype(float)
+        direct = straight(np.array(point), self.cells[nearest])
+        if self.mask[tuple(direct[1:].T)].all():
+            return direct.astype(float)
         reach = int(2 * distance) + 10
         while True:
             low = np.maximum(0, np.array(point) - reach)
@@ -306,14 +305,8 @@ class _Leads:
             if np.isfinite(costs).any():
                 return np.array(search.traceback(ends[int(np.argmin(costs))].tolist()), float) + low
             if cost.shape == self.mask.shape:
-                return straight.astype(float)
+                return direct.astype(float)
             reach *= 2
-
-
-def _straight(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    steps = int(np.abs(b - a).max())
-    t = np.linspace(0, 1, steps + 1)[:, None]
-    return np.rint(a + t * (b - a)).astype(np.int64)
 
 
 def _reaches_out(
@@ -408,7 +401,7 @@ def _taut(line: Points, free: NDArray[np.bool_]) -> Points:
         ahead = len(corners) - 1
         while ahead > kept[-1] + 1:
             ends = np.rint(line[corners[[kept[-1], ahead]]]).astype(np.int64)
-            if free[tuple(_straight(*ends).T)].all():
+            if free[tuple(straight(*ends).T)].all():
                 break
             ahead -= 1
         kept.append(ahead)

@@ -188,6 +188,13 @@ def line_length(line: Points) -> float:
     return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
+def straight(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The cells ``(n, 2)`` of the straight line between two cells, both included."""
+    steps = int(np.abs(b - a).max())
+    t = np.linspace(0, 1, steps + 1)[:, None]
+    return np.rint(a + t * (b - a)).astype(np.int64)
+
+
 def simplify(line: Points, tolerance: float) -> NDArray[np.int64]:
     """Indices of the points that a line within ``tolerance`` of the given one needs (Douglas and Peucker)."""
     keep = {0, len(line) - 1}

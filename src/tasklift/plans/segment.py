@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 from tasklift.plans.space import EIGHT, Settings, Space
 
 BEYOND_M = 1.5
+# a gap in a room's wall is narrower than this part of the room; what lies beyond is less than this part; and the
+# nearest wall is farther from the middle of the gap than this part of the gap
+NARROWER, LARGEST_MOUTH, OPEN = 0.85, 0.6, 0.35
+SHORTEST_WALL_M, WIDEST_GAP_M, SLIVER_M2 = 0.3, 8.0, 0.25
 
 
 @dataclass(eq=False)
@@ -68,6 +72,10 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
                 is_room[r] = is_room[r] and not narrow
     if not openings:
         is_room[:] = False  # one space alone: its inner structure is all there is
+    region = _cut_mouths(space, region, openings, is_room, measure.exits)
+    openings = _openings(space, settings, region)
+    measure = measure_regions(space, region, openings)
+    is_room = np.pad(is_room, (0, len(measure.exits) - len(is_room)))
     walls = _Walls(space, settings)
     openings += _inner_doors(space, settings, region, perhaps, openings, walls)
     for opening in openings:
@@ -334,7 +342,8 @@ def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Open
                 open_m[r] += opening.width_m
                 widest[r] = max(widest[r], opening.width_m)
     openness = open_m / np.maximum(4 * np.sqrt(area), 1e-9)
-    return Regions(area, peak, area / (2 * peak) ** 2, openness, exits, widest / (2 * peak))
+    across = np.maximum(2 * peak, space.cell_m)
+    return Regions(area, peak, area / across**2, openness, exits, widest / across)
 
 
 def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> list[Opening]:
@@ -373,6 +382,95 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
             found.append(Opening(pixel, pair, opening, False))
             found[-1].is_door = _is_door(settings, space, region, found[-1], False)
     return found
+
+
+def _cut_mouths(
+    space: Space,
+    region: NDArray[np.int32],
+    openings: list[Opening],
+    is_room: NDArray[np.bool_],
+    exits: NDArray[np.int64],
+) -> NDArray[np.int32]:
+    """Let rooms end at the gap in their wall where that gap is wider than the corridor outside.
+
+    The narrow places are then in the corridor, and the piece between them would belong to the room.
+    """
+    from scipy import ndimage
+
+    def leads_on(opening: Opening, number: int) -> bool:
+        (other,) = set(opening.regions) - {number}
+        return bool(exits[other] >= 2)
+
+    region = region.copy()
+    boxes = ndimage.find_objects(region)
+    gaps = []
+    half = space.half_width_m / space.cell_m
+    for line in space.outline.gaps(half, SHORTEST_WALL_M / space.cell_m, WIDEST_GAP_M / space.cell_m):
+        length = float(np.hypot(*(line[-1] - line[0])))
+        middle = int(line[len(line) // 2][0]), int(line[len(line) // 2][1])
+        if half[middle] >= OPEN * length:  # not along a wall
+            gaps.append((line, length, middle))
+    for number in np.flatnonzero(is_room).tolist():
+        outer = np.array([o.pixel for o in openings if number in o.regions and not o.is_door and leads_on(o, number)])
+        if not len(outer):
+            continue
+        box = tuple(slice(s.start - 1, s.stop + 1) for s in boxes[number - 1])
+        corner = np.array([s.start for s in box])
+        here = region[box]
+        depth = np.where(here == number, half[box], 0)
+        deepest = np.unravel_index(np.argmax(depth), depth.shape)
+        widest = NARROWER * 2 * float(depth.max())
+        mine = [line - corner for line, length, middle in gaps if length <= widest and region[middle] == number]
+        outer -= corner
+        while mine and len(outer):
+            cuts = [_cut(here == number, (int(deepest[0]), int(deepest[1])), line, outer) for line in mine]
+            best = max(range(len(mine)), key=lambda k: (cuts[k][1].sum(), -len(mine[k])))
+            beyond, apart = cuts[best]
+            around = here[ndimage.binary_dilation(beyond) & (here != number)]
+            border = np.bincount(around, minlength=len(is_room)) * ~is_room
+            border[0] = 0
+            if not apart.any() or not border.any():
+                break
+            here[beyond] = np.argmax(border)
+            outer = outer[~apart]
+    return _whole(space, region)
+
+
+def _whole(space: Space, region: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Regions in one piece each: what is apart from the largest piece is one of its own, or nothing if tiny."""
+    from scipy import ndimage
+
+    fresh = int(region.max()) + 1
+    for number, box in enumerate(ndimage.find_objects(region), start=1):
+        part, _ = ndimage.label(region[box] == number)
+        area = np.bincount(part.ravel())[1:]
+        for piece in (np.flatnonzero(area < area.max(initial=0)) + 1).tolist():
+            big = area[piece - 1] * space.cell_m**2 >= SLIVER_M2
+            region[box][part == piece] = fresh if big else 0
+            fresh += big
+    return region
+
+
+def _cut(
+    mask: NDArray[np.bool_], inside: tuple[int, int], line: NDArray[np.int64], outer: NDArray[np.int64]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """What of ``mask`` a line parts from a cell ``inside``, and which of the cells ``outer`` lie there.
+
+    Nothing, if that is not much smaller than the rest, or holds none of them.
+    """
+    from scipy import ndimage
+
+    bar = np.zeros_like(mask)
+    for step in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
+        bar[tuple((line + step).clip(0, np.array(mask.shape) - 1).T)] = True
+    part, _ = ndimage.label(mask & ~bar)
+    main = part == part[inside]
+    apart = ~ndimage.binary_dilation(main, EIGHT)[tuple(outer.T)]
+    touched = ndimage.binary_dilation(mask, EIGHT)
+    beyond = mask & ~main
+    if bar[inside] or beyond.sum() > LARGEST_MOUTH * main.sum() or not touched[tuple(outer.T)].all():
+        apart[:] = False
+    return beyond, apart
 
 
 def _inner_doors(

@@ -7,14 +7,17 @@ cell to the nearest wall: half the width of the space there.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
+from tasklift.plans.outline import Outline
 from tasklift.plans.ros import Plan
 
 EIGHT = np.ones((3, 3), bool)  # neighbours across corners count
+STRAIGHT_M = 0.1
 DOOR_RULES = ("relative", "absolute")
 
 
@@ -108,6 +111,11 @@ class Space:
     factor: int
     corner: tuple[int, int]
     doubts: list[str] = field(default_factory=list)
+
+    @cached_property
+    def outline(self) -> Outline:
+        """The straight walls of the space."""
+        return Outline(self.free, STRAIGHT_M / self.cell_m)
 
     def to_plan(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Rows and columns of the plan, in its pixels, of points ``(n, 2)`` given in cells."""

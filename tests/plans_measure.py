@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from tasklift.plans.ros import Plan
 MAPS = Path(__file__).parents[2] / "shared" / "maps"
 LABELS = Path(__file__).parent / "data" / "willow_labels.json"
 WITHIN_M = 1.5
+PLAIN_M, FORK_M2 = 0.3, 4.0
 
 
 def needs_maps() -> Path:
@@ -38,7 +40,7 @@ def match(a: np.ndarray, b: np.ndarray, within_m: float = WITHIN_M) -> tuple[np.
     return i[near], j[near]
 
 
-def loops(building: Building) -> int:
+def loop_count(building: Building) -> int:
     return building.n_edges - building.n_nodes + 1
 
 
@@ -51,11 +53,12 @@ class Agreement:
     junction_recall: float
     junctions: int
     precision: float
+    nodes: int
     path_median: float
     path_p90: float
 
 
-def agreement(building: Building, plan: Plan, graph: Path, without_empty_loops: bool = False) -> Agreement:
+def agreement(building: Building, plan: Plan, graph: Path, as_a_building: bool = False) -> Agreement:
     """Compare with the ``.graph`` file.
 
     A junction is a hand-made node with three corridors or more; it is found if some node of ours lies within
@@ -63,30 +66,40 @@ def agreement(building: Building, plan: Plan, graph: Path, without_empty_loops: 
     Paths run between all pairs of hand-made nodes, straight from place to place; in our graph they begin at
     the nearest point of a corridor that the place sees.
 
-    With ``without_empty_loops``, hand-made nodes on a loop around nothing but floor do not count, neither as
-    junctions nor for paths: people draw such patrols inside a room, and a building's graph has one node there.
+    The hand-made graphs are for patrols, and do what a building's graph should not, or need not. With
+    ``as_a_building`` they are counted without that:
+
+    - Patrols inside a room: nodes on a loop around nothing but floor, or on a fork whose ends see each other across
+      nothing but floor, count neither as junctions nor for paths, nor do our nodes within.
+    - Stops before a wall: a branch that ends before a wall as plain as beside it makes no junction.
+    - They name no doors, and put a room's node anywhere in it: a door of ours is right where a hand-made corridor
+      passes within 1.5 m, and a room's node where a hand-made node lies within the room's radius in sight of it.
     """
     hand = read_graph(graph, add_doors=False)
     keep = np.ones(hand.n_nodes, bool)
-    if without_empty_loops:
-        keep[_on_empty_loops(hand, plan)] = False
-    matched, _ = match(hand.position_m, building.position_m)
-    junction = (hand.degree >= 3) & keep
-    recall = np.isin(np.flatnonzero(junction), matched).sum() / max(1, junction.sum())
+    junction = hand.degree >= 3
     straight = ~np.isin(building.feature_class, (BEND, CORNER))
-    ours = building.position_m[straight]
-    if without_empty_loops:
-        ours = ours[~_inside_empty_loops(hand, plan, ours)]
-        _, hit = match(hand.position_m[keep], ours)
-    else:
-        _, hit = match(hand.position_m, ours)
+    if as_a_building:
+        loops = _empty_loops(hand, plan)
+        keep[sorted({node for loop in loops for node in loop})] = False
+        junction = (hand.degree - _before_plain_walls(hand, plan)) >= 3
+        straight &= ~_inside(hand, loops, building.position_m)
+    matched, _ = match(hand.position_m, building.position_m)
+    recall = np.isin(np.flatnonzero(junction & keep), matched).sum() / max(1, (junction & keep).sum())
+    ours = np.flatnonzero(straight)
+    _, hit = match(hand.position_m[keep], building.position_m[ours])
+    right = np.zeros(len(ours), bool)
+    right[hit] = True
+    if as_a_building:
+        right |= _on_a_corridor(hand, building, ours) | _in_the_room(hand, building, ours, plan)
     error = _path_errors(hand, building, plan, keep)
     return Agreement(
-        hand=f"{hand.n_nodes}/{hand.n_edges}/{loops(hand)}",
-        found=f"{building.n_nodes}/{building.n_edges}/{loops(building)}",
+        hand=f"{hand.n_nodes}/{hand.n_edges}/{loop_count(hand)}",
+        found=f"{building.n_nodes}/{building.n_edges}/{loop_count(building)}",
         junction_recall=float(recall),
-        junctions=int(junction.sum()),
-        precision=len(hit) / max(1, len(ours)),
+        junctions=int((junction & keep).sum()),
+        precision=float(right.mean()) if len(ours) else 0.0,
+        nodes=len(ours),
         path_median=float(np.median(error)),
         path_p90=float(np.quantile(error, 0.9)),
     )
@@ -145,12 +158,19 @@ def _between(building: Building, within: np.ndarray, a: tuple, b: tuple) -> floa
 
 
 def _empty_loops(hand: Building, plan: Plan) -> list[list[int]]:
-    """Loops of the hand-made graph within which less than 2 % is not floor."""
+    """Loops and forks of the hand-made graph within which less than 2 % is not floor."""
     import networkx
+    import shapely
     from skimage.draw import polygon
 
+    graph = hand.to_networkx()
+    around = networkx.minimum_cycle_basis(graph, weight="length_m")
+    for node in graph:
+        ends = [end for end in graph[node] if graph.degree(end) == 1]
+        forks = [[node, a, b] for a, b in combinations(ends, 2)]
+        around += [fork for fork in forks if shapely.Polygon(hand.position_m[fork]).area >= FORK_M2]
     found = []
-    for loop in networkx.minimum_cycle_basis(hand.to_networkx(), weight="length_m"):
+    for loop in around:
         rows, columns = plan.to_pixels(hand.position_m[loop]).T
         inside = polygon(rows, columns, plan.free.shape)
         if len(inside[0]) and plan.free[inside].mean() > 0.98:
@@ -158,18 +178,55 @@ def _empty_loops(hand: Building, plan: Plan) -> list[list[int]]:
     return found
 
 
-def _on_empty_loops(hand: Building, plan: Plan) -> list[int]:
-    return sorted({node for loop in _empty_loops(hand, plan) for node in loop})
-
-
-def _inside_empty_loops(hand: Building, plan: Plan, points: np.ndarray) -> np.ndarray:
+def _inside(hand: Building, loops: list[list[int]], points: np.ndarray) -> np.ndarray:
     import shapely
 
     inside = np.zeros(len(points), bool)
-    for loop in _empty_loops(hand, plan):
+    for loop in loops:
         ring = shapely.MultiPoint(hand.position_m[loop]).convex_hull.buffer(WITHIN_M)
         inside |= shapely.contains_xy(ring, points)
     return inside
+
+
+def _before_plain_walls(hand: Building, plan: Plan) -> np.ndarray:
+    """For each hand-made node, how many of its branches are short and end before a wall as far off as beside it."""
+    stops = np.zeros(hand.n_nodes, int)
+    for end in np.flatnonzero(hand.degree == 1).tolist():
+        node = int(hand.neighbour[hand.indptr[end]])
+        at, ahead = hand.position_m[node], hand.position_m[end] - hand.position_m[node]
+        if np.hypot(*ahead) > WITHIN_M:
+            continue
+        ahead = ahead / np.hypot(*ahead)
+        aside = np.array([-ahead[1], ahead[0]])
+        beside = [_clear_m(plan, at + step * aside, ahead) for step in (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)]
+        stops[node] += _clear_m(plan, at, ahead) < np.median(beside) + PLAIN_M
+    return stops
+
+
+def _clear_m(plan: Plan, at: np.ndarray, ahead: np.ndarray) -> float:
+    """How far one sees from a point in a direction (m)."""
+    points = at + np.arange(0, 20, plan.resolution_m / 2)[:, None] * ahead
+    cells = np.clip(np.floor(plan.to_pixels(points)).astype(int), 0, np.array(plan.free.shape) - 1)
+    return float((~plan.free[tuple(cells.T)]).argmax()) * plan.resolution_m / 2
+
+
+def _on_a_corridor(hand: Building, building: Building, nodes: np.ndarray) -> np.ndarray:
+    """Whether nodes are doors through which a hand-made corridor passes."""
+    import shapely
+
+    corridors = shapely.MultiLineString([hand.position_m[edge] for edge in hand.edges])
+    away = shapely.distance(shapely.points(building.position_m[nodes]), corridors)
+    return (building.feature_class[nodes] == DOOR) & (away <= WITHIN_M)
+
+
+def _in_the_room(hand: Building, building: Building, nodes: np.ndarray, plan: Plan) -> np.ndarray:
+    """Whether nodes are rooms that have a hand-made node."""
+    found = np.zeros(len(nodes), bool)
+    for i in np.flatnonzero(building.kind[nodes] == ROOM).tolist():
+        at, radius = building.position_m[nodes[i]], np.sqrt(building.area_m2[nodes[i]] / np.pi)
+        near = np.hypot(*(hand.position_m - at).T) <= radius
+        found[i] = any(_sees(plan, at, point) for point in hand.position_m[near])
+    return found
 
 
 @dataclass(frozen=True)
@@ -211,11 +268,11 @@ def drawn_counts(building: Building) -> tuple[int, int, int]:
     for room in np.flatnonzero(building.kind == ROOM):
         near = building.neighbour[building.indptr[room] : building.indptr[room + 1]]
         doors += int((building.feature_class[near] != DOOR).sum())
-    return int((building.kind == ROOM).sum()), doors, loops(building)
+    return int((building.kind == ROOM).sum()), doors, loop_count(building)
 
 
 def counts(building: Building) -> tuple[int, int, int]:
-    return int((building.kind == ROOM).sum()), int((building.feature_class == DOOR).sum()), loops(building)
+    return int((building.kind == ROOM).sum()), int((building.feature_class == DOOR).sum()), loop_count(building)
 
 
 def visible_intersections(building: Building, turn_degrees: float = 30.0) -> np.ndarray:

@@ -18,7 +18,7 @@ WIDEST_HALF_M = 2.2
 SHORTEST_WALL_M, NARROWEST_M = 0.8, 0.5
 FACING = -0.97  # of the walls' normals: two walls are parallel within 14 degrees
 AHEAD = 0.6  # of a corridor's axis and the line through it
-AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M = 3.0, 0.8, 0.3
+AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M, STEP_M = 3.0, 0.8, 0.3, 0.15
 LEAST_ANGLE, MISS_M = 0.4, 0.4
 
 
@@ -75,7 +75,7 @@ def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float, floa
     window = np.flatnonzero(along <= clear + AXIS_M / space.cell_m)
     followed: dict[tuple[int, int], tuple[int, int]] = {}
     best, most = None, SHORT_AXIS_M / space.cell_m
-    for i in window[1 :: max(1, round(0.1 / space.cell_m))].tolist():
+    for i in window[1 :: max(1, round(STEP_M / space.cell_m))].tolist():
         towards = line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)]
         half = float(space.half_width_m[tuple(np.rint(line[i]).astype(int))]) / space.cell_m
         near = space.outline.near(line[i], 1.1 * half + 2)

@@ -331,8 +331,9 @@ def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Open
     """Area, half width, elongation, openness and number of exits of every region."""
     n = int(region.max()) + 1
     area: NDArray[Any] = np.bincount(region.ravel(), minlength=n) * space.cell_m**2
-    peak: NDArray[Any] = np.zeros(n)
-    np.maximum.at(peak, region.ravel(), space.half_width_m.ravel())
+    highest = np.zeros(n, np.float32)  # of the same type as the half width: otherwise this is twenty times slower
+    np.maximum.at(highest, region.ravel(), space.half_width_m.ravel())
+    peak = highest.astype(float)
     area[0], peak[0] = 0, 1
     open_m, widest, exits = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
     for opening in openings:
@@ -397,10 +398,13 @@ def _cut_mouths(
     """
     from scipy import ndimage
 
-    def leads_on(opening: Opening, number: int) -> bool:
-        (other,) = set(opening.regions) - {number}
-        return bool(exits[other] >= 2)
-
+    outer: dict[int, list[tuple[int, int]]] = {}
+    for opening in openings:
+        for number, other in (opening.regions, opening.regions[::-1]):
+            if is_room[number] and not opening.is_door and exits[other] >= 2:
+                outer.setdefault(number, []).append(opening.pixel)
+    if not outer:
+        return region
     region = region.copy()
     boxes = ndimage.find_objects(region)
     gaps = []
@@ -410,10 +414,7 @@ def _cut_mouths(
         middle = int(line[len(line) // 2][0]), int(line[len(line) // 2][1])
         if half[middle] >= OPEN * length:  # not along a wall
             gaps.append((line, length, middle))
-    for number in np.flatnonzero(is_room).tolist():
-        outer = np.array([o.pixel for o in openings if number in o.regions and not o.is_door and leads_on(o, number)])
-        if not len(outer):
-            continue
+    for number, pixels in outer.items():
         box = tuple(slice(s.start - 1, s.stop + 1) for s in boxes[number - 1])
         corner = np.array([s.start for s in box])
         here = region[box]
@@ -421,9 +422,9 @@ def _cut_mouths(
         deepest = np.unravel_index(np.argmax(depth), depth.shape)
         widest = NARROWER * 2 * float(depth.max())
         mine = [line - corner for line, length, middle in gaps if length <= widest and region[middle] == number]
-        outer -= corner
-        while mine and len(outer):
-            cuts = [_cut(here == number, (int(deepest[0]), int(deepest[1])), line, outer) for line in mine]
+        ends = np.array(pixels) - corner
+        while mine and len(ends):
+            cuts = [_cut(here == number, (int(deepest[0]), int(deepest[1])), line, ends) for line in mine]
             best = max(range(len(mine)), key=lambda k: (cuts[k][1].sum(), -len(mine[k])))
             beyond, apart = cuts[best]
             around = here[ndimage.binary_dilation(beyond) & (here != number)]
@@ -432,7 +433,7 @@ def _cut_mouths(
             if not apart.any() or not border.any():
                 break
             here[beyond] = np.argmax(border)
-            outer = outer[~apart]
+            ends = ends[~apart]
     return _whole(space, region)
 
 
@@ -485,7 +486,8 @@ def _inner_doors(
 
     Only the narrowest of several close to each other, and none close to the ``others``.
     """
-    taken = [opening.pixel for opening in others]
+    taken = np.full((len(others) + len(passes), 2), np.inf)
+    taken[: len(others)] = np.array([opening.pixel for opening in others]).reshape(-1, 2)
     found: list[Opening] = []
     half = space.half_width_m.ravel()[passes].astype(float)
     for k in np.argsort(half, kind="stable").tolist():
@@ -494,12 +496,12 @@ def _inner_doors(
         opening = Opening((row, column), (number, number), 2 * half[k] - space.cell_m, True)
         if not settings.narrowest_m <= opening.width_m <= settings.leaf_m:
             continue
-        near = np.array(taken, float).reshape(-1, 2) - (row, column)
-        if len(near) and np.hypot(*near.T).min() * space.cell_m < settings.frame_m:
+        away = np.hypot(taken[:, 0] - row, taken[:, 1] - column)
+        if away.min() * space.cell_m < settings.frame_m:
             continue
         if walls.beside(opening) and _is_door(settings, space, region, opening, True):
+            taken[len(others) + len(found)] = opening.pixel
             found.append(opening)
-            taken.append(opening.pixel)
     return found
 
 

@@ -85,7 +85,7 @@ class Settings:
     bay_share: float = 0.25
     prune_m: float = 0.5
     merge_m: float = 1.0
-    merge_share: float = 0.8
+    merge_share: float = 0.6
     wall_m: float = 3.0
     narrowest_m: float = 0.8
     frame_ratio: float = 0.76
@@ -148,12 +148,12 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     filled = fill_islands(free, settings.speckle_m / cell)
     free = free | filled
     radius = settings.opening_m / cell
-    core = ndimage.distance_transform_edt(free) > radius
+    core = to_wall(free) > radius
     if not core.any():
         raise TaskliftError(
             f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right?"
         )
-    opened = ndimage.distance_transform_edt(~core) <= radius
+    opened = to_wall(~core) <= radius
     inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
     chosen = _choose(plan.name, opened, cell, inside, doubts)
     rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
@@ -162,9 +162,20 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     furniture = fill_islands(chosen, settings.furniture_m / cell)
     filled = (filled | furniture) & (chosen | furniture)
     chosen = chosen | furniture
-    half = (ndimage.distance_transform_edt(chosen) * cell).astype(np.float32)
+    half = to_wall(chosen) * np.float32(cell)
     corner = int(rows[0]) - 2, int(columns[0]) - 2
     return Space(chosen, half, filled, cell, factor, corner, doubts)
+
+
+def to_wall(free: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The distance (cells) of each free cell to the nearest one that is not; in whole numbers as far as that goes."""
+    from scipy import ndimage
+
+    away = ndimage.distance_transform_edt(free, return_distances=False, return_indices=True)
+    for axis, size in enumerate(free.shape):
+        away[axis] -= np.arange(size, dtype=away.dtype).reshape((-1, 1) if axis == 0 else (1, -1))
+    np.square(away, out=away)
+    return np.sqrt(np.add(*away), dtype=np.float32)
 
 
 def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ WIDEST_HALF_M = 2.2
 SHORTEST_WALL_M, NARROWEST_M = 0.8, 0.5
 FACING = -0.97  # of the walls' normals: two walls are parallel within 14 degrees
 AHEAD = 0.6  # of a corridor's axis and the line through it
-AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M, STEP_M = 3.0, 0.8, 0.3, 0.15
+AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M, STEP_M = 3.0, 0.8, 0.3, 0.1
 LEAST_ANGLE, MISS_M = 0.4, 0.4
 
 

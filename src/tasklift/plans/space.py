@@ -18,6 +18,7 @@ from tasklift.plans.ros import Plan
 
 EIGHT = np.ones((3, 3), bool)  # neighbours across corners count
 STRAIGHT_M = 0.1
+ROUNDING = 1e-3  # 0.3 m are three cells of 0.1 m, whatever 0.3 / 0.1 is
 DOOR_RULES = ("relative", "absolute")
 
 
@@ -96,7 +97,7 @@ class Settings:
     through_elongation: float = 1.7
     mouth_elongation: float = 1.4
     mouth_share: float = 0.52
-    hall_half_width_m: float = 1.8
+    hall_half_width_m: float = 1.9
     bend_degrees: float = 25.0
 
 
@@ -148,12 +149,12 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     filled = fill_islands(free, settings.speckle_m / cell)
     free = free | filled
     radius = settings.opening_m / cell
-    core = to_wall(free) > radius
+    core = to_wall(free) >= radius - ROUNDING
     if not core.any():
         raise TaskliftError(
             f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right?"
         )
-    opened = to_wall(~core) <= radius
+    opened = to_wall(~core) < radius - ROUNDING
     inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
     chosen = _choose(plan.name, opened, cell, inside, doubts)
     rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))

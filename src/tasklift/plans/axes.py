@@ -48,6 +48,26 @@ def centre_nodes(graph: PathGraph, space: Space, roles: tuple[str, ...]) -> None
         graph.move(number, at, begin)
 
 
+def turn_before_door(door: Node, line: Points, space: Space) -> tuple[Points, float] | None:
+    """Where the way that leads square through a door meets the axis of the corridor beyond, and by what angle (rad).
+
+    ``line`` begins at the door. ``None`` if that is not on the floor, or not near.
+    """
+    across = _square_to(door)
+    axis = _axis(line, 0.0, space)
+    if across is None or axis is None:
+        return None
+    normal, offset = np.array([across[0], axis[0]]), np.array([across[1], axis[1]])
+    turn = float(np.arccos(np.clip(abs(normal[0] @ normal[1]), 0, 1)))
+    if np.sin(turn) < LEAST_ANGLE:
+        return None
+    at = np.linalg.solve(normal, offset)
+    cell = np.rint(at).astype(int)
+    inside = (cell >= 0).all() and (cell < space.free.shape).all() and space.free[tuple(cell)]
+    near = np.hypot(*(at - door.at)) * space.cell_m < AXIS_M
+    return (at, turn) if inside and near else None
+
+
 def _crossing(at: Points, normal: Points, offset: Points, most: float, space: Space) -> tuple[float, float] | None:
     """The free point nearest to all axes, at most ``most`` cells from ``at``; one axis may miss it."""
     for _ in range(min(2, len(normal) - 1)):  # all axes, then without the one that misses most
@@ -119,8 +139,16 @@ def _middle(point: Points, pair: tuple[int, int], walls: Outline) -> tuple[Point
 
 def _door_axis(door: Node, line: Points, clear: float, space: Space) -> tuple[Points, float, float] | None:
     """As :func:`_axis`, square to a door's wall, for the short way from a door to its corridor."""
-    if door.role != "door" or door.across is None or line_length(line) * space.cell_m > AXIS_M:
+    square = _square_to(door)
+    if square is None or line_length(line) * space.cell_m > AXIS_M:
+        return None
+    return *square, clear
+
+
+def _square_to(door: Node) -> tuple[Points, float] | None:
+    """Normal and offset of the line square through a door."""
+    if door.role != "door" or door.across is None:
         return None
     first, second = (np.array(end, float) for end in door.across)
     normal = (second - first) / np.hypot(*(second - first))
-    return normal, float(normal @ ((first + second) / 2)), clear
+    return normal, float(normal @ ((first + second) / 2))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
-from tasklift.plans.axes import centre_nodes
+from tasklift.plans.axes import centre_nodes, turn_before_door
 from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, straight, trace
 from tasklift.plans.ros import Plan
 from tasklift.plans.segment import Opening, Regions, divide, jambs
@@ -358,25 +358,50 @@ def _simplify(graph: PathGraph, space: Space, settings: Settings, is_room: NDArr
 
 def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:
     """Put a node of role "bend" or "corner" wherever a corridor turns."""
+    for door in [number for number, node in graph.nodes.items() if node.role == "door"]:
+        for edge in sorted(graph.incident[door]):
+            _bend_before(graph, edge, door, space, settings)
     for edge in list(graph.edges):
-        a, b, line = graph.edges[edge]
+        line = graph.edges[edge][2]
         corners = _corners(line, space, settings)
         # the last first, so that what is still to be split keeps its indices
         for k in range(len(corners) - 2, 0, -1):
-            before, here, after = (line[i] for i in corners[k - 1 : k + 2])
-            turn = _turn(before, here, after)
-            if turn < settings.bend_degrees:
-                continue
-            half = float(space.half_width_m[tuple(int(v) for v in np.rint(here))])
-            for end in (a, b):
-                apart = np.hypot(*(here - graph.nodes[end].at)) * space.cell_m
-                if apart < (max(settings.merge_m, half) if graph.nodes[end].role == "path" else NEAR_DOOR_M):
-                    break
-            else:
-                role = "corner" if turn >= CORNER_DEGREES else "bend"
-                node = graph.split(edge, int(corners[k]), Node((float(here[0]), float(here[1])), half, role))
-                # the first part: splitting numbers it before the second
-                edge = min(graph.incident[node])
+            turn = _turn(*(line[i] for i in corners[k - 1 : k + 2]))
+            edge = _bend(graph, edge, corners[k], turn, space, settings)
+
+
+def _bend_before(graph: PathGraph, edge: int, door: int, space: Space, settings: Settings) -> None:
+    """Put a bend where a corridor turns right before a door."""
+    line = graph.line(edge, door)
+    found = turn_before_door(graph.nodes[door], line, space)
+    if found is None:
+        return
+    at, turn = found
+    away = np.hypot(*(line - at).T)
+    index = int(away.argmin())
+    half = float(space.half_width_m[tuple(np.rint(at).astype(int))])
+    if away[index] * space.cell_m <= max(1.0, 2 * half):
+        from_start = index if door == graph.edges[edge][0] else len(line) - 1 - index
+        _bend(graph, edge, from_start, float(np.degrees(turn)), space, settings)
+
+
+def _bend(graph: PathGraph, edge: int, index: int, turn: float, space: Space, settings: Settings) -> int:
+    """Put a bend at a point of an edge's line, if it turns enough (degrees), and not close to either end.
+
+    Returns the edge up to there.
+    """
+    a, b, line = graph.edges[edge]
+    here = line[index]
+    half = float(space.half_width_m[tuple(np.rint(here).astype(int))])
+    for end in (a, b):
+        apart = np.hypot(*(here - graph.nodes[end].at)) * space.cell_m
+        if apart < (max(settings.merge_m, half) if graph.nodes[end].role == "path" else NEAR_DOOR_M):
+            return edge
+    if turn < settings.bend_degrees:
+        return edge
+    role = "corner" if turn >= CORNER_DEGREES else "bend"
+    node = graph.split(edge, index, Node((float(here[0]), float(here[1])), half, role))
+    return min(graph.incident[node])  # splitting numbers the first part before the second
 
 
 def _corners(line: Points, space: Space, settings: Settings) -> list[int]:

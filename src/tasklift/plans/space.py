@@ -137,7 +137,6 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     TaskliftError
         If the plan holds no free space, or none of the seeds is on any.
     """
-    from scipy import ndimage
 
     doubts: list[str] = []
     factor = max(1, int(settings.cell_m / plan.resolution_m + 1e-6))

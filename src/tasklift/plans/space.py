@@ -71,7 +71,7 @@ class Settings:
     """
 
     cell_m: float = 0.05
-    opening_m: float = 0.3
+    opening_m: float = 0.325
     speckle_m: float = 0.8
     furniture_m: float = 2.0
     door_rule: str = "relative"
@@ -90,7 +90,7 @@ class Settings:
     wall_m: float = 3.0
     narrowest_m: float = 0.8
     frame_ratio: float = 0.76
-    corridor_door_ratio: float = 0.6
+    corridor_door_ratio: float = 0.58
     frame_m: float = 1.75
     leaf_m: float = 1.1
     deep_frame_m: float = 3.0

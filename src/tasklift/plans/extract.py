@@ -173,7 +173,13 @@ def _draw(
         if box is None:
             continue
         mine = of_region.get(number, [])
-        box = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in box)
+        # a door that the plan declares may lie beside its region
+        cells = np.array([point for _, point in mine] or [(box[0].start, box[1].start)])
+        low, high = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
+        box = tuple(
+            slice(max(0, min(s.start, first) - 1), max(s.stop, last + 1) + 1)
+            for s, first, last in zip(box, low, high, strict=True)
+        )
         mask = region[box] == number
         corner = box[0].start, box[1].start
         points = [(point[0] - corner[0], point[1] - corner[1]) for _, point in mine]
@@ -199,7 +205,7 @@ def _bar(barred: NDArray[np.bool_], space: Space, opening: Opening) -> tuple[tup
             return None
         sides.append((row, column))
     for row, column in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
-        barred[tuple((line + np.array([row, column])).T)] = True
+        barred[tuple((line + np.array([row, column])).clip(0, np.array(barred.shape) - 1).T)] = True
     return sides[0], sides[1]
 
 

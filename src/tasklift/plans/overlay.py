@@ -46,7 +46,7 @@ def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | 
     suffix = Path(path).suffix.lower()
     if suffix not in (".png", ".svg"):
         raise TaskliftError(f"{path}: expected a picture that ends in .png or .svg")
-    low, high = _bounds(building)
+    low, high = _bounds(building, plan)
     width, height = high - low
     scale = LONGEST_SIDE_INCHES / max(width, height + 0.05 * max(width, height))
     figure = Figure(figsize=(max(4.0, width * scale), max(3.0, height * scale + 0.6)), dpi=PIXELS_PER_INCH)
@@ -70,9 +70,15 @@ def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | 
     write_atomically(path, buffer.getvalue())
 
 
-def _bounds(building: Building) -> tuple[np.ndarray, np.ndarray]:
-    points = np.concatenate([building.position_m, building.outline_m])
-    return points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+def _bounds(building: Building, plan: Plan | None) -> tuple[np.ndarray, np.ndarray]:
+    """The corners of what there is to see: the graph, and on a plan all that it knows of."""
+    points = [building.position_m, building.outline_m]
+    if plan is not None and not plan.unknown.all():
+        rows, columns = (np.flatnonzero((~plan.unknown).any(axis=1 - axis)) for axis in (0, 1))
+        ends = [(row, column) for row in (rows[0], rows[-1] + 1) for column in (columns[0], columns[-1] + 1)]
+        points.append(plan.to_world(*np.array(ends, float).T))
+    known = np.concatenate(points)
+    return known.min(axis=0) - 1.0, known.max(axis=0) + 1.0
 
 
 def _draw_picture(axes: Any, plan: Plan) -> None:

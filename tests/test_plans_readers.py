@@ -270,6 +270,8 @@ def test_options(tmp_path: Path) -> None:
     assert building.n_nodes == 3
     for options, part in (
         ({"door_rule": "guess"}, "relative or absolute"),
+        ({"narrowest_m": 0.0}, "0.1 to 5 m"),
+        ({"narrowest_m": float("nan")}, "0.1 to 5 m"),
         ({"smallest_room_m2": -1.0}, "0.5 to 10000"),
         ({"seed_point": (0.1, 0.1)}, "not on free space"),
         ({"seed_point": (1e5, 1e5)}, "not on free space"),

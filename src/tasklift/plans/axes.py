@@ -7,7 +7,6 @@ corridor between two bends; people do not. The walls themselves are straight the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tasklift.plans.outline import Outline
 from tasklift.plans.paths import Node, PathGraph, Points, line_length
@@ -20,6 +19,7 @@ FACING = -0.97  # of the walls' normals: two walls are parallel within 14 degree
 AHEAD = 0.6  # of a corridor's axis and the line through it
 AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M, STEP_M = 3.0, 0.8, 0.3, 0.1
 LEAST_ANGLE, MISS_M = 0.4, 0.4
+LONGEST_SPIKE_M, NICHE_WALL_M = 3.0, 0.3
 
 
 def centre_nodes(graph: PathGraph, space: Space, roles: tuple[str, ...]) -> None:
@@ -46,6 +46,13 @@ def centre_nodes(graph: PathGraph, space: Space, roles: tuple[str, ...]) -> None
             moves.append((number, moved, begin))
     for number, at, begin in moves:
         graph.move(number, at, begin)
+
+
+def is_spike(line: Points, space: Space) -> bool:
+    """Whether a dead end is but the sharp corner of a floor: short, and never between walls that face each other."""
+    if line_length(line) * space.cell_m > LONGEST_SPIKE_M:
+        return False
+    return not any(_facing(line, i, space, NICHE_WALL_M) for i in range(0, len(line), 2))
 
 
 def turn_before_door(door: Node, line: Points, space: Space) -> tuple[Points, float] | None:
@@ -96,10 +103,7 @@ def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float, floa
     followed: dict[tuple[int, int], tuple[int, int]] = {}
     best, most = None, SHORT_AXIS_M / space.cell_m
     for i in window[1 :: max(1, round(STEP_M / space.cell_m))].tolist():
-        towards = line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)]
-        half = float(space.half_width_m[tuple(np.rint(line[i]).astype(int))]) / space.cell_m
-        near = space.outline.near(line[i], 1.1 * half + 2)
-        for pair in _facing(line[i], towards / max(np.hypot(*towards), 1e-9), near, space):
+        for pair in _facing(line, i, space, SHORTEST_WALL_M):
             first, _ = followed.setdefault(pair, (i, i))
             followed[pair] = (first, i)
             progress = abs(float((line[i] - line[first]) @ space.outline.ahead[pair[0]]))
@@ -114,12 +118,14 @@ def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float, floa
     return normal, offset, float(along[first])
 
 
-def _facing(
-    point: Points, towards: Points, near: NDArray[np.int64], space: Space
-) -> list[tuple[int, int]]:
-    """Those of the walls ``near`` that face each other across a line through a point that leads ``towards``."""
-    walls = space.outline
-    long = walls.length[near] * space.cell_m >= SHORTEST_WALL_M
+def _facing(line: Points, i: int, space: Space, shortest_m: float) -> list[tuple[int, int]]:
+    """The walls of some length that face each other across a line at its point ``i``."""
+    walls, point = space.outline, line[i]
+    towards = line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)]
+    towards = towards / max(np.hypot(*towards), 1e-9)
+    half = float(space.half_width_m[tuple(np.rint(point).astype(int))]) / space.cell_m
+    near = walls.near(point, 1.1 * half + 2)
+    long = walls.length[near] * space.cell_m >= shortest_m
     near = near[long & (np.abs(walls.ahead[near] @ towards) > AHEAD)]
     inward, beside = walls.inward[near], walls.beside(near, point)
     first, second = np.nonzero(np.triu(inward @ inward.T < FACING))

@@ -45,6 +45,7 @@ def map_group() -> None:
 @click.option("--seed-point", type=_Place(), help="A point in the building, where the picture holds several.")
 @click.option("--smallest-room", type=float, help="Smallest area of a room, m² [4].")
 @click.option("--door-rule", type=click.Choice(["relative", "absolute"]), help="What is a door [relative].")
+@click.option("--narrowest", type=float, help="Narrowest passage that a robot fits through, m [0.65].")
 @click.option("--start", type=_Place(), help="Where robots begin: a point, or a node's number.")
 @click.option("--level", help="The level of an open-rmf building.")
 @click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")
@@ -56,6 +57,7 @@ def import_command(
     seed_point: tuple[float, float] | int | None,
     smallest_room: float | None,
     door_rule: str | None,
+    narrowest: float | None,
     start: tuple[float, float] | int | None,
     level: str | None,
     allow_outside: bool,
@@ -75,6 +77,7 @@ def import_command(
         seed_point=seed_point,
         smallest_room_m2=smallest_room,
         door_rule=door_rule,
+        narrowest_m=narrowest,
         start=start,
         level=level,
         allow_outside=allow_outside,

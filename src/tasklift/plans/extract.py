@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
-from tasklift.plans.axes import centre_nodes, turn_before_door
+from tasklift.plans.axes import centre_nodes, is_spike, turn_before_door
 from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, straight, trace
 from tasklift.plans.ros import Plan
 from tasklift.plans.segment import Opening, Regions, divide, jambs
@@ -66,6 +66,7 @@ def extract(
     say("tracing the corridors")
     graph = _draw(space, settings, region, openings, is_room)
     centre_nodes(graph, space, ("path",))
+    _drop_spikes(graph, space)
     _name_bends(graph, space, settings)
     centre_nodes(graph, space, ("bend", "corner"))
     _no_parallels(graph)
@@ -360,6 +361,17 @@ def _simplify(graph: PathGraph, space: Space, settings: Settings, is_room: NDArr
     graph.contract(near)
     graph.drop_rings(SHORTEST_RING_M / space.cell_m)
     graph.prune(reaches_out)
+
+
+def _drop_spikes(graph: PathGraph, space: Space) -> None:
+    """Remove the dead ends in the sharp corners where two corridors meet."""
+    for node in [number for number, node in graph.nodes.items() if node.role == "path"]:
+        if graph.degree(node) == 1:
+            (edge,) = graph.incident[node]
+            stem = graph.other(edge, node)
+            if graph.nodes[stem].role == "path" and graph.degree(stem) == 3 and is_spike(graph.line(edge, node), space):
+                graph.remove_node(node)
+    graph.dissolve()
 
 
 def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:

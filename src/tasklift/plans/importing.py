@@ -26,6 +26,7 @@ def import_map(
     seed_point: tuple[float, float] | None = None,
     smallest_room_m2: float | None = None,
     door_rule: str | None = None,
+    narrowest_m: float | None = None,
     start: tuple[float, float] | int | None = None,
     level: str | None = None,
     allow_outside: bool = False,
@@ -53,6 +54,8 @@ def import_map(
     door_rule
         "relative" [default]: a door is narrower than the spaces on both sides; "absolute": narrower than a
         given width.
+    narrowest_m
+        Passages narrower than this are closed [0.65].
     start
         Where the robots begin: a node, or a point (m) of which the nearest room is taken.
     level
@@ -77,7 +80,7 @@ def import_map(
         from tasklift.plans.extract import extract
 
         plan = _plan(kind, path, level, allow_outside, document)
-        settings = _settings(smallest_room_m2, door_rule)
+        settings = _settings(smallest_room_m2, door_rule, narrowest_m)
         building, doubts = extract(plan, settings, seed_point=seed_point, start=start, progress=progress)
     building = replace(building, provenance=building.provenance | {"imported_from": Path(path).name, "doubts": doubts})
     if edits is not None:
@@ -161,7 +164,7 @@ def _is_number(word: bytes) -> bool:
     return True
 
 
-def _settings(smallest_room_m2: float | None, door_rule: str | None) -> Settings:
+def _settings(smallest_room_m2: float | None, door_rule: str | None, narrowest_m: float | None) -> Settings:
     settings = Settings()
     if smallest_room_m2 is not None:
         if not 0.5 <= smallest_room_m2 <= 10_000:
@@ -171,6 +174,10 @@ def _settings(smallest_room_m2: float | None, door_rule: str | None) -> Settings
         if door_rule not in DOOR_RULES:
             raise TaskliftError(f"door rule: expected {' or '.join(DOOR_RULES)}, found {door_rule!r}")
         settings = replace(settings, door_rule=door_rule)
+    if narrowest_m is not None:
+        if not 0.1 <= narrowest_m <= 5:
+            raise TaskliftError(f"narrowest passage: expected 0.1 to 5 m, found {narrowest_m:g}")
+        settings = replace(settings, opening_m=narrowest_m / 2)
     return settings
 
 

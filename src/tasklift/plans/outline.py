@@ -33,6 +33,9 @@ class Outline:
         rows: list[tuple[Points, Points, float, float]] = []
         points, owner, following, before = [], [], [], []
         for line in find_contours(free.astype(np.float32), 0.5):
+            # the point farthest from the middle is a corner: no wall is cut in two where the outline begins
+            first = int(((line - line.mean(axis=0)) ** 2).sum(axis=1).argmax())
+            line = np.concatenate([line[first:], line[1 : first + 1]])
             corners = simplify(line, tolerance)
             for first, last in zip(corners[:-1].tolist(), corners[1:].tolist(), strict=True):
                 piece = line[first : last + 1]

@@ -147,11 +147,12 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     free = np.pad(free, 1)
     filled = fill_islands(free, settings.speckle_m / cell)
     free = free | filled
-    radius = settings.opening_m / cell
+    radius = max(0.5, settings.opening_m / cell)
     core = to_wall(free) >= radius - ROUNDING
     if not core.any():
         raise TaskliftError(
-            f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right?"
+            f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right? "
+            "(--narrowest lets narrower passages through)"
         )
     opened = to_wall(~core) < radius - ROUNDING
     inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1

@@ -110,7 +110,7 @@ def test_a_bend_between_a_door_and_a_slanted_corridor() -> None:
 
 
 def test_a_door_that_looks_along_its_corridor_has_no_bend_before_it() -> None:
-    floor = shapely.union_all([box(-3, 0, 3, 4), box(-0.5, -1, 0.5, 0), corridor([(0, -1), (0, -9)], 2.4)])
+    floor = shapely.union_all([box(-3, 0, 3, 4), box(-0.5, -1, 0.5, 0), corridor([(0, -1), (0, -15)], 2.4)])
     building, _ = extract(plan_of(floor))
     assert counts(building)[:2] == (1, 1)
     assert not turns(building).any()
@@ -129,11 +129,11 @@ def test_no_turn_before_what_is_no_door() -> None:
 @EXAMPLES
 def test_a_room_ends_at_the_gap_in_its_wall(gap: float, width: float, depth: float) -> None:
     """The gap is wider than the corridor: no piece of the corridor belongs to the room."""
-    assume(gap < 0.8 * width)
+    assume(gap < 0.65 * width)  # a wider one makes the room a bay
     wall = 0.2
     floor = shapely.union_all(
         [
-            corridor([(-12, 0), (12, 0)], 2.0),
+            corridor([(-20, 0), (20, 0)], 2.0),
             box(-gap / 2, 0.9, gap / 2, 1 + wall + 0.1),
             box(-width / 2, 1 + wall, width / 2, 1 + wall + depth),
         ]
@@ -149,13 +149,13 @@ def test_a_room_ends_at_the_gap_in_its_wall(gap: float, width: float, depth: flo
 
 
 def test_narrow_passages_are_closed_unless_one_asks_for_them() -> None:
-    rooms = [box(0, 0, 5, 5), box(5.2, 0, 10, 5), box(4.9, 2, 5.3, 2.5)]
+    rooms = [box(0, 0, 5, 5), box(5.2, 0, 10, 5), box(4.9, 2, 5.3, 2.4)]
     plan = plan_of(shapely.union_all(rooms))
     building, _ = extract(plan, Settings(opening_m=0.2))
     assert counts(building) == (2, 1, 0)
-    building, _ = extract(plan)
-    assert counts(building)[1] == 0
-    assert building.position_m[:, 0].max() < 5
+    # the passage is but as deep as the wall, and closed all the same
+    with pytest.raises(TaskliftError, match="a single room"):
+        extract(plan, Settings(opening_m=0.3))
 
 
 # -- outlines ----------------------------------------------------------------------------------------
@@ -172,10 +172,10 @@ def test_the_outline_of_a_turned_box_has_its_four_walls(turn: float, width: floa
     floor = shapely.affinity.rotate(box(0, 0, width, height), turn)
     space = space_of(floor)[0]
     outline = space.outline
-    long = outline.length * CELL_M > 0.6
-    assert outline.length[long].sum() * CELL_M == pytest.approx(2 * (width + height), rel=0.15)
+    assert outline.length.sum() * CELL_M == pytest.approx(2 * (width + height), rel=0.1)
+    long = outline.length * CELL_M > 1.5
     angle = np.degrees(np.arctan2(-outline.ahead[long, 0], outline.ahead[long, 1])) - turn
-    assert np.abs((angle + 45) % 90 - 45).max() < 6
+    assert np.abs((angle + 45) % 90 - 45).max() < 4
     # the floor is where the walls say that it is
     inside = outline.middle[long] + 4 * outline.inward[long]
     assert space.free[tuple(np.rint(inside).astype(int).T)].all()

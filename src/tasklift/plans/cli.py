@@ -45,7 +45,7 @@ def map_group() -> None:
 @click.option("--seed-point", type=_Place(), help="A point in the building, where the picture holds several.")
 @click.option("--smallest-room", type=float, help="Smallest area of a room, m² [4].")
 @click.option("--door-rule", type=click.Choice(["relative", "absolute"]), help="What is a door [relative].")
-@click.option("--narrowest", type=float, help="Narrowest passage that a robot fits through, m [0.65].")
+@click.option("--narrowest", type=float, help="Narrowest passage that a robot fits through, m [0.5].")
 @click.option("--start", type=_Place(), help="Where robots begin: a point, or a node's number.")
 @click.option("--level", help="The level of an open-rmf building.")
 @click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")

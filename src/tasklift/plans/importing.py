@@ -55,7 +55,7 @@ def import_map(
         "relative" [default]: a door is narrower than the spaces on both sides; "absolute": narrower than a
         given width.
     narrowest_m
-        Passages narrower than this are closed [0.65].
+        Passages narrower than this are closed [0.5].
     start
         Where the robots begin: a node, or a point (m) of which the nearest room is taken.
     level

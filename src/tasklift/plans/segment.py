@@ -18,7 +18,8 @@ BEYOND_M = 1.5
 # a gap in a room's wall is narrower than this part of the room; what lies beyond is less than this part; and the
 # nearest wall is farther from the middle of the gap than this part of the gap
 NARROWER, LARGEST_MOUTH, OPEN = 0.85, 0.6, 0.35
-SHORTEST_WALL_M, WIDEST_GAP_M, SLIVER_M2 = 0.3, 8.0, 0.25
+SHORTEST_WALL_M, WIDEST_GAP_M, SLIVER_M2, NEAR_GAP_M, PAST_M = 0.3, 8.0, 0.25, 0.5, 3.0
+CORRIDOR_ELONGATION = 3.0  # what is longer is no bay of a room
 
 
 @dataclass(eq=False)
@@ -72,8 +73,11 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
                 is_room[r] = is_room[r] and not narrow
     if not openings:
         is_room[:] = False  # one space alone: its inner structure is all there is
-    region = _cut_mouths(space, region, openings, is_room, measure.exits)
+    region, doors = _cut_mouths(space, region, openings, is_room, measure)
     openings = _openings(space, settings, region)
+    for opening in openings:
+        near = np.hypot(*(doors - opening.pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M
+        opening.is_door |= near and opening.width_m < settings.door_width_m
     measure = measure_regions(space, region, openings)
     is_room = np.pad(is_room, (0, len(measure.exits) - len(is_room)))
     walls = _Walls(space, settings)
@@ -390,21 +394,25 @@ def _cut_mouths(
     region: NDArray[np.int32],
     openings: list[Opening],
     is_room: NDArray[np.bool_],
-    exits: NDArray[np.int64],
-) -> NDArray[np.int32]:
+    measure: Regions,
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Let rooms end at the gap in their wall where that gap is wider than the corridor outside.
 
-    The narrow places are then in the corridor, and the piece between them would belong to the room.
+    The narrow places are then in the corridor, and the piece between them would belong to the room. Returns the
+    regions, and the middles ``(n, 2)`` of those gaps before which a corridor passes: they are doors, if not too
+    wide; the others are mouths of corridors.
     """
     from scipy import ndimage
 
     outer: dict[int, list[tuple[int, int]]] = {}
     for opening in openings:
         for number, other in (opening.regions, opening.regions[::-1]):
-            if is_room[number] and not opening.is_door and exits[other] >= 2:
+            corridor = measure.exits[other] >= 2 or measure.elongation[other] >= CORRIDOR_ELONGATION
+            if is_room[number] and not opening.is_door and corridor:
                 outer.setdefault(number, []).append(opening.pixel)
+    doors: list[NDArray[np.int64]] = []
     if not outer:
-        return region
+        return region, np.zeros((0, 2), np.int64)
     region = region.copy()
     boxes = ndimage.find_objects(region)
     gaps = []
@@ -412,7 +420,7 @@ def _cut_mouths(
     for line in space.outline.gaps(half, SHORTEST_WALL_M / space.cell_m, WIDEST_GAP_M / space.cell_m):
         length = float(np.hypot(*(line[-1] - line[0])))
         middle = int(line[len(line) // 2][0]), int(line[len(line) // 2][1])
-        if half[middle] >= OPEN * length:  # not along a wall
+        if half[middle] >= OPEN * length > 0:  # not along a wall
             gaps.append((line, length, middle))
     for number, pixels in outer.items():
         box = tuple(slice(s.start - 1, s.stop + 1) for s in boxes[number - 1])
@@ -434,7 +442,22 @@ def _cut_mouths(
                 break
             here[beyond] = np.argmax(border)
             ends = ends[~apart]
-    return _whole(space, region)
+            gap = mine[best] + corner
+            if _passes_before(region, number, gap, space):
+                doors.append(gap[len(gap) // 2])
+    return _whole(space, region), np.array(doors, np.int64).reshape(-1, 2)
+
+
+def _passes_before(region: NDArray[np.int32], number: int, gap: NDArray[np.int64], space: Space) -> bool:
+    """Whether one sees a wall soon when one looks out of a room through a gap: what is outside leads past it."""
+    across = (gap[-1] - gap[0]) / np.hypot(*(gap[-1] - gap[0]))
+    away = np.arange(2, round(PAST_M / space.cell_m))[:, None] * np.array([-across[1], across[0]])
+    for sign in (1, -1):
+        seen = np.rint(gap[len(gap) // 2] + sign * away).astype(np.int64).clip(0, np.array(region.shape) - 1)
+        owner = region[tuple(seen.T)]
+        if owner[len(owner) // 4] != number:
+            return bool((owner == 0).any())
+    return False
 
 
 def _whole(space: Space, region: NDArray[np.int32]) -> NDArray[np.int32]:

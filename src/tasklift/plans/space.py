@@ -18,7 +18,7 @@ from tasklift.plans.ros import Plan
 
 EIGHT = np.ones((3, 3), bool)  # neighbours across corners count
 STRAIGHT_M = 0.1
-ROUNDING = 1e-3  # 0.3 m are three cells of 0.1 m, whatever 0.3 / 0.1 is
+ROUNDING = 1e-3  # 0.3 m are three cells of 0.1 m, whatever 0.3 / 0.1 is in binary
 DOOR_RULES = ("relative", "absolute")
 
 
@@ -71,7 +71,7 @@ class Settings:
     """
 
     cell_m: float = 0.05
-    opening_m: float = 0.325
+    opening_m: float = 0.25
     speckle_m: float = 0.8
     furniture_m: float = 2.0
     door_rule: str = "relative"
@@ -154,9 +154,8 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
             f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right? "
             "(--narrowest lets narrower passages through)"
         )
-    opened = to_wall(~core) < radius - ROUNDING
     inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
-    chosen = _choose(plan.name, opened, cell, inside, doubts)
+    chosen = _choose(plan.name, _pieces(core, radius), cell, inside, doubts)
     rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
     box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
     chosen, filled = chosen[box], filled[box]
@@ -169,14 +168,32 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
 
 
 def to_wall(free: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """The distance (cells) of each free cell to the nearest one that is not; in whole numbers as far as that goes."""
+    """The distance (cells) of each free cell to the nearest one that is not."""
+    return _nearest_wall(free)[0]
+
+
+def _nearest_wall(free: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """How far (cells) the nearest cell is that is not free, and its row and column ``(2, H, W)``."""
     from scipy import ndimage
 
-    away = ndimage.distance_transform_edt(free, return_distances=False, return_indices=True)
+    nearest = ndimage.distance_transform_edt(free, return_distances=False, return_indices=True)
+    # in whole numbers as far as that goes: scipy's own distances take twice the time and the memory
+    square = np.zeros(free.shape, np.int32)
     for axis, size in enumerate(free.shape):
-        away[axis] -= np.arange(size, dtype=away.dtype).reshape((-1, 1) if axis == 0 else (1, -1))
-    np.square(away, out=away)
-    return np.sqrt(np.add(*away), dtype=np.float32)
+        square += np.square(nearest[axis] - np.arange(size, dtype=np.int32).reshape((-1, 1) if axis == 0 else (1, -1)))
+    return np.sqrt(square, dtype=np.float32), nearest
+
+
+def _pieces(core: NDArray[np.bool_], radius: float) -> NDArray[np.int32]:
+    """Number the pieces of the floor that a disc whose middle stays in ``core`` can go over, from 1 on.
+
+    Where a passage is so short that the discs before and behind it cover it, it parts two pieces all the same.
+    """
+    from scipy import ndimage
+
+    label, _ = ndimage.label(core)
+    away, nearest = _nearest_wall(~core)
+    return np.where(away < radius - ROUNDING, label[nearest[0], nearest[1]], 0).astype(np.int32)
 
 
 def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
@@ -207,17 +224,14 @@ def fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
 
 
 def _choose(
-    name: str, opened: NDArray[np.bool_], cell: float, seeds: NDArray[np.int64] | None, doubts: list[str]
+    name: str, label: NDArray[np.int32], cell: float, seeds: NDArray[np.int64] | None, doubts: list[str]
 ) -> NDArray[np.bool_]:
     """The piece of free space with most of the seeds in it, or the largest that is not the outdoors."""
-    from scipy import ndimage
-
-    label, n = ndimage.label(opened)
-    area = np.bincount(label.ravel(), minlength=n + 1) * cell**2
+    area = np.bincount(label.ravel()) * cell**2
     area[0] = 0
     if seeds is not None:
         within = seeds[((seeds >= 0) & (seeds < label.shape)).all(axis=1)]
-        votes = np.bincount(label[tuple(within.T)], minlength=n + 1)
+        votes = np.bincount(label[tuple(within.T)], minlength=len(area))
         votes[0] = 0
         if not votes.any():
             raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
@@ -225,7 +239,7 @@ def _choose(
         return chosen
     # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
     edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
-    outdoors = np.bincount(edge, minlength=n + 1) > 0.25 * len(edge)
+    outdoors = np.bincount(edge, minlength=len(area)) > 0.25 * len(edge)
     outdoors[0] = False
     bounded = np.where(outdoors, 0, area)
     best = int(np.argmax(bounded)) if bounded.max() > 0 else int(np.argmax(area))

@@ -80,9 +80,9 @@ def agreement(building: Building, plan: Plan, graph: Path, as_a_building: bool =
     junction = hand.degree >= 3
     straight = ~np.isin(building.feature_class, (BEND, CORNER))
     if as_a_building:
-        loops = _empty_loops(hand, plan)
+        loops = empty_loops(hand, plan)
         keep[sorted({node for loop in loops for node in loop})] = False
-        junction = (hand.degree - _before_plain_walls(hand, plan)) >= 3
+        junction = (hand.degree - before_plain_walls(hand, plan)) >= 3
         straight &= ~_inside(hand, loops, building.position_m)
     matched, _ = match(hand.position_m, building.position_m)
     recall = np.isin(np.flatnonzero(junction & keep), matched).sum() / max(1, (junction & keep).sum())
@@ -157,7 +157,7 @@ def _between(building: Building, within: np.ndarray, a: tuple, b: tuple) -> floa
     return float(min(ways)) + off + aside
 
 
-def _empty_loops(hand: Building, plan: Plan) -> list[list[int]]:
+def empty_loops(hand: Building, plan: Plan) -> list[list[int]]:
     """Loops and forks of the hand-made graph within which less than 2 % is not floor."""
     import networkx
     import shapely
@@ -188,7 +188,7 @@ def _inside(hand: Building, loops: list[list[int]], points: np.ndarray) -> np.nd
     return inside
 
 
-def _before_plain_walls(hand: Building, plan: Plan) -> np.ndarray:
+def before_plain_walls(hand: Building, plan: Plan) -> np.ndarray:
     """For each hand-made node, how many of its branches are short and end before a wall as far off as beside it."""
     stops = np.zeros(hand.n_nodes, int)
     for end in np.flatnonzero(hand.degree == 1).tolist():

@@ -10,7 +10,6 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from PIL import Image, ImageDraw
 from scipy import ndimage
 
 from plans_measure import counts
@@ -19,6 +18,7 @@ from tasklift.errors import TaskliftError
 from tasklift.plans.axes import turn_before_door
 from tasklift.plans.extract import extract
 from tasklift.plans.paths import Node
+from tasklift.plans.raster import rasterise_floor
 from tasklift.plans.ros import Plan
 from tasklift.plans.space import Settings, Space, clean, to_wall
 
@@ -26,22 +26,13 @@ CELL_M = 0.05
 EXAMPLES = settings(derandomize=True, deadline=None, max_examples=40)
 
 
-def plan_of(floor: shapely.Geometry, cell_m: float = CELL_M) -> Plan:
-    """The plan of a floor (m), two metres of wall around it."""
-    low = np.floor(np.array(floor.bounds[:2]) - 2)
-    width, height = (int(v) for v in np.ceil((np.array(floor.bounds[2:]) + 2 - low) / cell_m))
-    image = Image.new("1", (width, height), 0)
-    pen = ImageDraw.Draw(image)
-    for polygon in getattr(floor, "geoms", [floor]):
-        for ring, colour in [(polygon.exterior, 1), *((hole, 0) for hole in polygon.interiors)]:
-            points = (np.asarray(ring.coords) - low) / cell_m
-            pen.polygon([(x - 0.5, height - y - 0.5) for x, y in points.tolist()], fill=colour)
-    return plan_from(np.asarray(image, bool), cell_m, (float(low[0]), float(low[1])))
+def plan_of(floor: shapely.Geometry) -> Plan:
+    return rasterise_floor("drawn", floor, CELL_M)
 
 
-def plan_from(free: np.ndarray, cell_m: float = CELL_M, corner: tuple[float, float] = (0.0, 0.0)) -> Plan:
+def plan_from(free: np.ndarray, cell_m: float) -> Plan:
     grey = np.where(free, 254, 0).astype(np.uint8)
-    return Plan("drawn", free, np.zeros_like(free), grey, cell_m, (*corner, 0.0))
+    return Plan("drawn", free, np.zeros_like(free), grey, cell_m, (0.0, 0.0, 0.0))
 
 
 def corridor(points: list[tuple[float, float]], width: float) -> shapely.Geometry:

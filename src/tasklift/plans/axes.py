@@ -12,14 +12,26 @@ from tasklift.plans.outline import Outline
 from tasklift.plans.paths import Node, PathGraph, Points, line_length
 from tasklift.plans.space import Space
 
-# corridors wider than twice this have no axis that a person would keep to
+# Corridors wider than twice this have no axis that a person would keep to.
 WIDEST_HALF_M = 2.2
-SHORTEST_WALL_M, NARROWEST_M = 0.8, 0.5
-FACING = -0.97  # of the walls' normals: two walls are parallel within 14 degrees
-AHEAD = 0.6  # of a corridor's axis and the line through it
-AXIS_M, SHORTEST_AXIS_M, SHORT_AXIS_M, STEP_M = 3.0, 0.8, 0.3, 0.1
-LEAST_ANGLE, MISS_M = 0.4, 0.4
-LONGEST_SPIKE_M, NICHE_WALL_M = 3.0, 0.3
+# Walls make a corridor from this length on, with at least this between them, parallel within 14 degrees (the
+# cosine between the directions to their floors), and within 53 degrees of the line between them (the cosine).
+SHORTEST_WALL_M = 0.8
+NARROWEST_M = 0.5
+FACING = -0.97
+AHEAD = 0.6
+# A line's corridor is looked for so far beyond the junction, in these steps; it is the first that the line follows
+# for the first length, or else the one that it follows longest, for the second length at least.
+AXIS_M = 3.0
+STEP_M = 0.1
+SHORTEST_AXIS_M = 0.8
+SHORT_AXIS_M = 0.3
+# Axes cross if the sine between them is above this; a junction may miss one of its axes by so much.
+LEAST_ANGLE = 0.4
+MISS_M = 0.4
+# A dead end up to this length is no corridor without facing walls, of at least the second length.
+LONGEST_SPIKE_M = 3.0
+NICHE_WALL_M = 0.3
 
 
 def centre_nodes(graph: PathGraph, space: Space, roles: tuple[str, ...]) -> None:
@@ -69,10 +81,13 @@ def turn_before_door(door: Node, line: Points, space: Space) -> tuple[Points, fl
     if np.sin(turn) < LEAST_ANGLE:
         return None
     at = np.linalg.solve(normal, offset)
-    cell = np.rint(at).astype(int)
-    inside = (cell >= 0).all() and (cell < space.free.shape).all() and space.free[tuple(cell)]
     near = np.hypot(*(at - door.at)) * space.cell_m < AXIS_M
-    return (at, turn) if inside and near else None
+    return (at, turn) if near and _on_floor(at, space) else None
+
+
+def _on_floor(at: Points, space: Space) -> bool:
+    cell = np.rint(at).astype(int)
+    return bool((cell >= 0).all() and (cell < space.free.shape).all() and space.free[tuple(cell)])
 
 
 def _crossing(at: Points, normal: Points, offset: Points, most: float, space: Space) -> tuple[float, float] | None:
@@ -82,10 +97,9 @@ def _crossing(at: Points, normal: Points, offset: Points, most: float, space: Sp
         u, size, v = np.linalg.svd(normal, full_matrices=False)
         steps = np.where(size > LEAST_ANGLE, (u.T @ (offset - normal @ at)) / np.maximum(size, 1e-9), 0)
         moved = at + steps @ v
-        cell = tuple(int(c) for c in np.rint(moved))
-        inside = min(cell) >= 0 and cell[0] < space.free.shape[0] and cell[1] < space.free.shape[1]
         miss = np.abs(normal @ moved - offset)
-        if np.hypot(*(moved - at)) <= most and miss.max() * space.cell_m <= MISS_M and inside and space.free[cell]:
+        near = np.hypot(*(moved - at)) <= most and miss.max() * space.cell_m <= MISS_M
+        if near and _on_floor(moved, space):
             return float(moved[0]), float(moved[1])
         worst = int(np.argmax(miss))
         normal, offset = np.delete(normal, worst, axis=0), np.delete(offset, worst)

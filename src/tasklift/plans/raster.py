@@ -34,19 +34,21 @@ def rasterise(building: Building, resolution_m: float = 0.05) -> Plan:
     resolution_m
         Metres per pixel, at least 0.01.
     """
+    return rasterise_floor(building.name, _floor(building), resolution_m)
+
+
+def rasterise_floor(name: str, floor: Any, resolution_m: float = 0.05) -> Plan:
+    """Draw a floor, a shapely polygon in metres, as :func:`rasterise` does, with a metre to spare around it."""
     from PIL import Image, ImageDraw
     from scipy import ndimage
 
     if not isinstance(resolution_m, int | float) or not 0.01 <= resolution_m <= 0.5:
-        raise TaskliftError(
-            f"{building.name}: expected a resolution of 0.01 to 0.5 m per pixel, found {resolution_m!r}"
-        )
-    floor = _floor(building)
+        raise TaskliftError(f"{name}: expected a resolution of 0.01 to 0.5 m per pixel, found {resolution_m!r}")
     low = np.floor((np.array(floor.bounds[:2]) - 1.0) / resolution_m) * resolution_m
     width, height = np.ceil((np.array(floor.bounds[2:]) + 1.0 - low) / resolution_m).astype(int).tolist()
     if width * height > LARGEST_PIXELS:
         raise TaskliftError(
-            f"{building.name}: {width} x {height} pixels are more than the limit of {LARGEST_PIXELS:,}; "
+            f"{name}: {width} x {height} pixels are more than the limit of {LARGEST_PIXELS:,}; "
             "choose a coarser resolution"
         )
     image = Image.new("1", (width, height), 0)
@@ -59,7 +61,7 @@ def rasterise(building: Building, resolution_m: float = 0.05) -> Plan:
     near = ndimage.binary_dilation(free, np.ones((3, 3), bool), iterations=max(1, round(WALL_M / resolution_m)))
     grey = np.where(free, FREE, np.where(near, OCCUPIED, UNKNOWN)).astype(np.uint8)
     origin = (round(float(low[0]), 6), round(float(low[1]), 6), 0.0)
-    return Plan(building.name, free, ~near, grey, float(resolution_m), origin)
+    return Plan(name, free, ~near, grey, float(resolution_m), origin)
 
 
 def write_ros(building: Building, path: str | os.PathLike[str], resolution_m: float = 0.05) -> Path:

@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.plans.mouths import cut_mouths
 from tasklift.plans.space import EIGHT, Settings, Space
 
 BEYOND_M = 1.5
-# a gap in a room's wall is narrower than this part of the room; what lies beyond is less than this part; and the
-# nearest wall is farther from the middle of the gap than this part of the gap
-NARROWER, LARGEST_MOUTH, OPEN = 0.85, 0.6, 0.35
-SHORTEST_WALL_M, WIDEST_GAP_M, SLIVER_M2, NEAR_GAP_M, PAST_M = 0.3, 8.0, 0.25, 0.5, 3.0
+NEAR_GAP_M = 0.5
 CORRIDOR_ELONGATION = 3.0  # what is longer is no bay of a room
 
 
@@ -73,7 +71,7 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
                 is_room[r] = is_room[r] and not narrow
     if not openings:
         is_room[:] = False  # one space alone: its inner structure is all there is
-    region, doors = _cut_mouths(space, region, openings, is_room, measure)
+    region, doors = cut_mouths(space, region, _ways_out(openings, is_room, measure), is_room)
     openings = _openings(space, settings, region)
     for opening in openings:
         near = np.hypot(*(doors - opening.pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M
@@ -389,112 +387,17 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
     return found
 
 
-def _cut_mouths(
-    space: Space,
-    region: NDArray[np.int32],
-    openings: list[Opening],
-    is_room: NDArray[np.bool_],
-    measure: Regions,
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Let rooms end at the gap in their wall where that gap is wider than the corridor outside.
-
-    The narrow places are then in the corridor, and the piece between them would belong to the room. Returns the
-    regions, and the middles ``(n, 2)`` of those gaps before which a corridor passes: they are doors, if not too
-    wide; the others are mouths of corridors.
-    """
-    from scipy import ndimage
-
-    outer: dict[int, list[tuple[int, int]]] = {}
+def _ways_out(
+    openings: list[Opening], is_room: NDArray[np.bool_], measure: Regions
+) -> dict[int, list[tuple[int, int]]]:
+    """For each room the cells where it opens into a corridor without a door."""
+    found: dict[int, list[tuple[int, int]]] = {}
     for opening in openings:
         for number, other in (opening.regions, opening.regions[::-1]):
-            corridor = measure.exits[other] >= 2 or measure.elongation[other] >= CORRIDOR_ELONGATION
-            if is_room[number] and not opening.is_door and corridor:
-                outer.setdefault(number, []).append(opening.pixel)
-    doors: list[NDArray[np.int64]] = []
-    if not outer:
-        return region, np.zeros((0, 2), np.int64)
-    region = region.copy()
-    boxes = ndimage.find_objects(region)
-    gaps = []
-    half = space.half_width_m / space.cell_m
-    for line in space.outline.gaps(half, SHORTEST_WALL_M / space.cell_m, WIDEST_GAP_M / space.cell_m):
-        length = float(np.hypot(*(line[-1] - line[0])))
-        middle = int(line[len(line) // 2][0]), int(line[len(line) // 2][1])
-        if half[middle] >= OPEN * length > 0:  # not along a wall
-            gaps.append((line, length, middle))
-    for number, pixels in outer.items():
-        box = tuple(slice(s.start - 1, s.stop + 1) for s in boxes[number - 1])
-        corner = np.array([s.start for s in box])
-        here = region[box]
-        depth = np.where(here == number, half[box], 0)
-        deepest = np.unravel_index(np.argmax(depth), depth.shape)
-        widest = NARROWER * 2 * float(depth.max())
-        mine = [line - corner for line, length, middle in gaps if length <= widest and region[middle] == number]
-        ends = np.array(pixels) - corner
-        while mine and len(ends):
-            cuts = [_cut(here == number, (int(deepest[0]), int(deepest[1])), line, ends) for line in mine]
-            best = max(range(len(mine)), key=lambda k: (cuts[k][1].sum(), -len(mine[k])))
-            beyond, apart = cuts[best]
-            around = here[ndimage.binary_dilation(beyond) & (here != number)]
-            border = np.bincount(around, minlength=len(is_room)) * ~is_room
-            border[0] = 0
-            if not apart.any() or not border.any():
-                break
-            here[beyond] = np.argmax(border)
-            ends = ends[~apart]
-            gap = mine[best] + corner
-            if _passes_before(region, number, gap, space):
-                doors.append(gap[len(gap) // 2])
-    return _whole(space, region), np.array(doors, np.int64).reshape(-1, 2)
-
-
-def _passes_before(region: NDArray[np.int32], number: int, gap: NDArray[np.int64], space: Space) -> bool:
-    """Whether one sees a wall soon when one looks out of a room through a gap: what is outside leads past it."""
-    across = (gap[-1] - gap[0]) / np.hypot(*(gap[-1] - gap[0]))
-    away = np.arange(2, round(PAST_M / space.cell_m))[:, None] * np.array([-across[1], across[0]])
-    for sign in (1, -1):
-        seen = np.rint(gap[len(gap) // 2] + sign * away).astype(np.int64).clip(0, np.array(region.shape) - 1)
-        owner = region[tuple(seen.T)]
-        if owner[len(owner) // 4] != number:
-            return bool((owner == 0).any())
-    return False
-
-
-def _whole(space: Space, region: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Regions in one piece each: what is apart from the largest piece is one of its own, or nothing if tiny."""
-    from scipy import ndimage
-
-    fresh = int(region.max()) + 1
-    for number, box in enumerate(ndimage.find_objects(region), start=1):
-        part, _ = ndimage.label(region[box] == number)
-        area = np.bincount(part.ravel())[1:]
-        for piece in (np.flatnonzero(area < area.max(initial=0)) + 1).tolist():
-            big = area[piece - 1] * space.cell_m**2 >= SLIVER_M2
-            region[box][part == piece] = fresh if big else 0
-            fresh += big
-    return region
-
-
-def _cut(
-    mask: NDArray[np.bool_], inside: tuple[int, int], line: NDArray[np.int64], outer: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """What of ``mask`` a line parts from a cell ``inside``, and which of the cells ``outer`` lie there.
-
-    Nothing, if that is not much smaller than the rest, or holds none of them.
-    """
-    from scipy import ndimage
-
-    bar = np.zeros_like(mask)
-    for step in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
-        bar[tuple((line + step).clip(0, np.array(mask.shape) - 1).T)] = True
-    part, _ = ndimage.label(mask & ~bar)
-    main = part == part[inside]
-    apart = ~ndimage.binary_dilation(main, EIGHT)[tuple(outer.T)]
-    touched = ndimage.binary_dilation(mask, EIGHT)
-    beyond = mask & ~main
-    if bar[inside] or beyond.sum() > LARGEST_MOUTH * main.sum() or not touched[tuple(outer.T)].all():
-        apart[:] = False
-    return beyond, apart
+            is_corridor = measure.exits[other] >= 2 or measure.elongation[other] >= CORRIDOR_ELONGATION
+            if is_room[number] and not opening.is_door and is_corridor:
+                found.setdefault(number, []).append(opening.pixel)
+    return found
 
 
 def _inner_doors(

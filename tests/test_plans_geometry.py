@@ -89,15 +89,14 @@ def test_two_bends_with_a_short_corridor_between_them(across: float) -> None:
         assert nearest_m(building, corner, turns(building)) < 0.3
 
 
-def test_a_bend_between_a_door_and_a_slanted_corridor() -> None:
-    room = box(-3, 0, 3, 4)
-    link = box(-0.5, -1.5, 0.5, 0)
-    floor = shapely.union_all([room, link, corridor([(-0.4, -1.2), (10, -6)], 2.4)])
-    building, _ = extract(plan_of(floor))
-    door = building.position_m[building.feature_class == DOOR]
-    assert len(door) == 1
-    bends = building.position_m[turns(building)]
-    assert np.abs(bends[:, 0]).min() < 0.5  # straight out of the door first, then along the corridor
+@pytest.mark.parametrize("aside", [4.0, 7.0, -5.0])
+def test_a_bend_between_a_door_and_a_slanted_corridor(aside: float) -> None:
+    corner = (0.0, -2.0)
+    bend = shapely.Point(corner).buffer(1.2)
+    way = corridor([corner, (2 * aside, -14)], 2.4)
+    building, _ = extract(plan_of(shapely.union_all([box(-3, 0, 3, 4), box(-0.5, -2, 0.5, 0), bend, way])))
+    assert counts(building)[1] == 1
+    assert nearest_m(building, corner, turns(building)) < 0.3
 
 
 def test_a_door_that_looks_along_its_corridor_has_no_bend_before_it() -> None:
@@ -137,6 +136,21 @@ def test_a_room_ends_at_the_gap_in_its_wall(gap: float, width: float, depth: flo
     assert np.hypot(*(building.position_m[rooms[0]] - middle)) < 0.3
     assert building.degree[rooms[0]] == 1
     assert nearest_m(building, (0, 0), building.kind == INTERSECTION) < 0.4
+
+
+ROOM_BY_THE_WAY = [box(-2.5, 1.2, 2.5, 6.2), box(-1, 0.9, 1, 1.3)]
+
+
+def test_a_wide_gap_that_a_corridor_passes_is_a_door() -> None:
+    building, _ = extract(plan_of(shapely.union_all([*ROOM_BY_THE_WAY, corridor([(-20, 0), (20, 0)], 2.0)])))
+    assert counts(building) == (1, 1, 0)
+    assert nearest_m(building, (0, 1.1), building.feature_class == DOOR) < 0.3
+
+
+def test_a_corridor_that_begins_in_a_room_has_no_door_there() -> None:
+    way = corridor([(0, 1.2), (0, -20)], 2.0)
+    building, _ = extract(plan_of(shapely.union_all([*ROOM_BY_THE_WAY, way, corridor([(-9, -15), (9, -15)], 2.0)])))
+    assert counts(building) == (1, 0, 0)
 
 
 def test_narrow_passages_are_closed_unless_one_asks_for_them() -> None:

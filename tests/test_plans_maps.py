@@ -23,6 +23,7 @@ from plans_measure import (
 )
 from tasklift.building.generate import generate
 from tasklift.building.graph import DOOR, INTERSECTION, NONE, ROOM, Building
+from tasklift.plans.check import check
 from tasklift.plans.extract import extract
 from tasklift.plans.importing import import_map
 from tasklift.plans.raster import rasterise
@@ -162,6 +163,14 @@ def test_a_large_plan() -> None:
     print(f"\n4,000 x 4,000: {building!r} {seconds:.1f} s of processor time (bar 25), {gigabytes:.2f} GB (bar 2)")
     assert seconds <= 25
     assert gigabytes <= 2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_corridor_is_shorter_than_straight(seed: int) -> None:
+    building, _ = extract(rasterise(generate(seed=seed)))
+    straight = np.hypot(*(building.position_m[building.edges[:, 0]] - building.position_m[building.edges[:, 1]]).T)
+    assert (building.length_m >= straight - 0.002).all()
+    assert not check(building).warnings
 
 
 def test_the_same_plan_gives_the_same_building() -> None:

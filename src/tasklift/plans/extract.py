@@ -26,6 +26,8 @@ SHORTEST_RING_M = 1.2
 LONE_SPECKLE_M = 0.2
 DOOR_TOLERANCE_M = 0.75
 BEND_TOLERANCE_M = 0.6
+TURN_M = 2.0
+SAME_M = 0.6  # junctions whose corridors' axes cross so near to each other are one
 
 
 def extract(
@@ -66,7 +68,8 @@ def extract(
     say("tracing the corridors")
     graph = _draw(space, settings, region, openings, is_room)
     centre_nodes(graph, space, ("path",))
-    _drop_spikes(graph, space)
+    _join_same(graph, space)
+    _drop_spikes(graph, space, settings)
     _name_bends(graph, space, settings)
     centre_nodes(graph, space, ("bend", "corner"))
     _no_parallels(graph)
@@ -348,7 +351,8 @@ def _tie(whole: PathGraph, part: PathGraph, ends: list[tuple[int, Points]], door
     for a, b, line in part.edges.values():
         whole.add_edge(number[a], number[b], line)
     for (node, line), door in zip(ends, doors, strict=True):
-        whole.add_edge(door, number[node], line)
+        at = np.array([whole.nodes[door].at])  # the line may begin beside the door
+        whole.add_edge(door, number[node], line if (line[0] == at[0]).all() else np.concatenate([at, line]))
 
 
 def _simplify(graph: PathGraph, space: Space, settings: Settings, is_room: NDArray[np.bool_]) -> None:
@@ -363,15 +367,38 @@ def _simplify(graph: PathGraph, space: Space, settings: Settings, is_room: NDArr
     graph.prune(reaches_out)
 
 
-def _drop_spikes(graph: PathGraph, space: Space) -> None:
-    """Remove the dead ends in the sharp corners where two corridors meet."""
+def _join_same(graph: PathGraph, space: Space) -> None:
+    """Make one of junctions that came to lie at the same place."""
+    for edge, (a, b, line) in graph.edges.items():
+        if a != b and all(graph.nodes[end].role == "path" and graph.degree(end) >= 3 for end in (a, b)):
+            pulled = _taut(line, space.free)
+            if line_length(pulled) * space.cell_m < SAME_M:
+                graph.edges[edge] = (a, b, pulled)
+    graph.contract(lambda a, b: SAME_M / space.cell_m)
+
+
+def _drop_spikes(graph: PathGraph, space: Space, settings: Settings) -> None:
+    """Remove the dead ends in the sharp corners where two corridors meet; what is left there is a bend."""
     for node in [number for number, node in graph.nodes.items() if node.role == "path"]:
-        if graph.degree(node) == 1:
-            (edge,) = graph.incident[node]
-            stem = graph.other(edge, node)
-            if graph.nodes[stem].role == "path" and graph.degree(stem) == 3 and is_spike(graph.line(edge, node), space):
-                graph.remove_node(node)
+        if graph.degree(node) != 1:
+            continue
+        (edge,) = graph.incident[node]
+        stem = graph.other(edge, node)
+        if graph.nodes[stem].role == "path" and graph.degree(stem) == 3 and is_spike(graph.line(edge, node), space):
+            graph.remove_node(node)
+            ways = [graph.line(other, stem) for other in sorted(graph.incident[stem])]
+            if len(ways) == 2:
+                before, after = (way[min(round(TURN_M / space.cell_m), len(way) - 1)] for way in ways)
+                turn = _turn(before, np.array(graph.nodes[stem].at), after)
+                graph.nodes[stem].role = _role(turn, settings) or "path"
     graph.dissolve()
+
+
+def _role(turn: float, settings: Settings) -> str | None:
+    """What a turn by so many degrees is, if it is anything."""
+    if turn < settings.bend_degrees:
+        return None
+    return "corner" if turn >= CORNER_DEGREES else "bend"
 
 
 def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:
@@ -415,9 +442,9 @@ def _bend(graph: PathGraph, edge: int, index: int, turn: float, space: Space, se
         apart = np.hypot(*(here - graph.nodes[end].at)) * space.cell_m
         if apart < (max(settings.merge_m, half) if graph.nodes[end].role == "path" else NEAR_DOOR_M):
             return edge
-    if turn < settings.bend_degrees:
+    role = _role(turn, settings)
+    if role is None:
         return edge
-    role = "corner" if turn >= CORNER_DEGREES else "bend"
     node = graph.split(edge, index, Node((float(here[0]), float(here[1])), half, role))
     return min(graph.incident[node])  # splitting numbers the first part before the second
 

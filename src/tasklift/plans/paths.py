@@ -164,13 +164,11 @@ class PathGraph:
         """Move a node; its lines go straight there from where each is ``clear[edge]`` of its old place."""
         for edge in list(self.incident[node]):
             a, b, line = self.edges[edge]
-            if a == b:
-                continue
-            line = self.line(edge, node)
-            along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-            kept = line[max(1, min(int(np.searchsorted(along, clear[edge])), len(line) - 1)) :]
-            line = np.concatenate([[at], kept])
-            self.edges[edge] = (a, b, line if a == node else line[::-1])
+            if a == node:
+                line = _led_from(line, at, clear[edge])
+            if b == node:
+                line = _led_from(line[::-1], at, clear[edge])[::-1]
+            self.edges[edge] = (a, b, line)
         self.nodes[node].at = at
 
     def split(self, edge: int, index: int, node: Node) -> int:
@@ -181,6 +179,12 @@ class PathGraph:
         self.add_edge(a, number, line[: index + 1])
         self.add_edge(number, b, line[index:])
         return number
+
+
+def _led_from(line: Points, at: tuple[float, float], clear: float) -> Points:
+    """The line that begins at ``at``, and from ``clear`` on is the given one."""
+    along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    return np.concatenate([[at], line[max(1, min(int(np.searchsorted(along, clear)), len(line) - 1)) :]])
 
 
 def line_length(line: Points) -> float:

@@ -464,18 +464,20 @@ def _corners(line: Points, space: Space, settings: Settings) -> list[int]:
 
 
 def _taut(line: Points, free: NDArray[np.bool_]) -> Points:
-    """The points of ``line`` that remain when it is pulled straight around the walls."""
-    corners = simplify(line, 1.0)
-    kept = [0]
-    while kept[-1] < len(corners) - 1:
-        ahead = len(corners) - 1
-        while ahead > kept[-1] + 1:
-            ends = np.rint(line[corners[[kept[-1], ahead]]]).astype(np.int64)
-            if free[tuple(straight(*ends).T)].all():
-                break
-            ahead -= 1
-        kept.append(ahead)
-    return line[corners[kept]]
+    """The points of ``line`` that remain when it is pulled straight, around the walls that it goes around."""
+    from skimage.draw import polygon
+
+    kept = simplify(line, 1.0).tolist()
+    middle = len(kept) - 2
+    while middle > 0:
+        corners = np.rint(line[kept[middle - 1 : middle + 2]]).astype(np.int64)
+        # not only where the short cut lies: between it and the corner there may be a wall as well
+        if free[tuple(straight(corners[0], corners[2]).T)].all() and free[polygon(*corners.T, free.shape)].all():
+            del kept[middle]
+            middle = min(middle, len(kept) - 2)
+        else:
+            middle -= 1
+    return line[kept]
 
 
 def _turn(before: Points, here: Points, after: Points) -> float:

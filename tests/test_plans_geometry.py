@@ -112,6 +112,14 @@ def test_no_turn_before_what_is_no_door() -> None:
     assert turn_before_door(Node((40.0, 20.0), 1.0, "path"), line, space) is None
 
 
+def test_a_way_around_is_as_long_as_it_is_though_its_ends_see_each_other() -> None:
+    ring = shapely.box(0, 0, 14, 14).exterior.buffer(1, join_style="mitre")
+    building, _ = extract(plan_of(shapely.union_all([ring, corridor([(14, 7), (30, 7)], 2), box(30, 3, 36, 11)])))
+    assert counts(building)[2] == 1
+    on_ring = building.position_m[building.edges].max(axis=(1, 2)) < 15
+    assert building.length_m[on_ring].sum() == pytest.approx(4 * 14, rel=0.03)
+
+
 # -- rooms -------------------------------------------------------------------------------------------
 
 

@@ -29,6 +29,9 @@ SHORT_AXIS_M = 0.3
 # Axes cross if the sine between them is above this; a junction may miss one of its axes by so much.
 LEAST_ANGLE = 0.4
 MISS_M = 0.4
+# The skeleton cuts a corner by at most so many half widths; walls along it would lead in its direction (the cosine).
+LONGEST_CHAMFER = 3.5
+ALONG = 0.79
 # A dead end up to this length is no corridor without facing walls, of at least the second length.
 LONGEST_SPIKE_M = 3.0
 NICHE_WALL_M = 0.3
@@ -65,6 +68,15 @@ def is_spike(line: Points, space: Space) -> bool:
     if line_length(line) * space.cell_m > LONGEST_SPIKE_M:
         return False
     return not any(_facing(line, i, space, NICHE_WALL_M) for i in range(0, len(line), 2))
+
+
+def is_chamfer(line: Points, space: Space) -> bool:
+    """Whether a piece of line cuts a corner: it is short, and no walls that lead along it face each other."""
+    middle = tuple(np.rint(line[len(line) // 2]).astype(int))
+    if np.hypot(*(line[-1] - line[0])) * space.cell_m > LONGEST_CHAMFER * float(space.half_width_m[middle]):
+        return False
+    along = line[-1] - line[0]
+    return not any(_facing_at(point, along, space, NICHE_WALL_M, ALONG) for point in line[::2])
 
 
 def turn_before_door(door: Node, line: Points, space: Space) -> tuple[Points, float] | None:
@@ -133,14 +145,20 @@ def _axis(line: Points, clear: float, space: Space) -> tuple[Points, float, floa
 
 
 def _facing(line: Points, i: int, space: Space, shortest_m: float) -> list[tuple[int, int]]:
-    """The walls of some length that face each other across a line at its point ``i``."""
-    walls, point = space.outline, line[i]
-    towards = line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)]
+    """The walls of some length that face each other across a line at its point ``i``, and lead along it."""
+    return _facing_at(line[i], line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)], space, shortest_m, AHEAD)
+
+
+def _facing_at(
+    point: Points, towards: Points, space: Space, shortest_m: float, ahead: float
+) -> list[tuple[int, int]]:
+    """The walls of some length that face each other across a point and lead ``towards``; ``ahead`` is the cosine."""
+    walls = space.outline
     towards = towards / max(np.hypot(*towards), 1e-9)
     half = float(space.half_width_m[tuple(np.rint(point).astype(int))]) / space.cell_m
     near = walls.near(point, 1.1 * half + 2)
     long = walls.length[near] * space.cell_m >= shortest_m
-    near = near[long & (np.abs(walls.ahead[near] @ towards) > AHEAD)]
+    near = near[long & (np.abs(walls.ahead[near] @ towards) > ahead)]
     inward, beside = walls.inward[near], walls.beside(near, point)
     first, second = np.nonzero(np.triu(inward @ inward.T < FACING))
     apart = ((beside[second] - beside[first]) * inward[first]).sum(axis=1) * space.cell_m

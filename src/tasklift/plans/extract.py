@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
-from tasklift.plans.axes import centre_nodes, is_spike, turn_before_door
+from tasklift.plans.axes import centre_nodes, is_chamfer, is_spike, turn_before_door
 from tasklift.plans.paths import Node, PathGraph, Points, line_length, simplify, straight, trace
 from tasklift.plans.ros import Plan
 from tasklift.plans.segment import Opening, Regions, divide, jambs
@@ -456,7 +456,8 @@ def _corners(line: Points, space: Space, settings: Settings) -> list[int]:
     while k + 2 < len(corners):
         first, second = line[corners[k]], line[corners[k + 1]]
         half = float(space.half_width_m[tuple(int(v) for v in np.rint(first))])
-        if np.hypot(*(second - first)) * space.cell_m < max(settings.merge_m, 1.8 * half):
+        short = np.hypot(*(second - first)) * space.cell_m < max(settings.merge_m, 1.8 * half)
+        if short or is_chamfer(line[corners[k] : corners[k + 1] + 1], space):
             corners[k : k + 2] = [(corners[k] + corners[k + 1]) // 2]
         else:
             k += 1

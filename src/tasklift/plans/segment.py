@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tasklift.plans.mouths import cut_mouths
 from tasklift.plans.space import EIGHT, Settings, Space
 
-BEYOND_M = 1.5
+BEYOND_M = 1.0
 NEAR_GAP_M = 0.5
 CORRIDOR_ELONGATION = 3.0  # what is longer is no bay of a room
 

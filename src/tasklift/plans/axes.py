@@ -72,8 +72,8 @@ def is_spike(line: Points, space: Space) -> bool:
 
 def is_chamfer(line: Points, space: Space) -> bool:
     """Whether a piece of line cuts a corner: it is short, and no walls that lead along it face each other."""
-    middle = tuple(np.rint(line[len(line) // 2]).astype(int))
-    if np.hypot(*(line[-1] - line[0])) * space.cell_m > LONGEST_CHAMFER * float(space.half_width_m[middle]):
+    half = float(space.half_width_m[tuple(np.rint(line[len(line) // 2]).astype(int))])
+    if half > WIDEST_HALF_M or np.hypot(*(line[-1] - line[0])) * space.cell_m > LONGEST_CHAMFER * half:
         return False
     along = line[-1] - line[0]
     return not any(_facing_at(point, along, space, NICHE_WALL_M, ALONG) for point in line[::2])

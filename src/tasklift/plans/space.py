@@ -97,7 +97,7 @@ class Settings:
     through_elongation: float = 1.7
     mouth_elongation: float = 1.4
     mouth_share: float = 0.52
-    hall_half_width_m: float = 1.9
+    hall_half_width_m: float = 1.85
     bend_degrees: float = 25.0
 
 

@@ -39,7 +39,7 @@ BARS = {
 # Against the hand-made graphs as they are, two recalls are lower, and what is asked here is what is reached: 12 of
 # cumberland's 22 junctions lie on loops or forks around nothing but floor, and 4 of DIAG's 12 stand before walls as
 # plain as beside them (doors that were shut). Nothing is there to be found; a building's graph should not have them.
-LITERAL_RECALL = {"cumberland": 0.63, "DIAG_labs": 0.66}
+LITERAL_RECALL = {"cumberland": 0.68, "DIAG_labs": 0.66}
 
 
 @pytest.mark.parametrize("name", BARS)
@@ -136,7 +136,7 @@ def test_round_trip() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [0, 500])
 def test_round_trip_of_a_hundred(first: int) -> None:
-    # the seeds from 500 on were drawn once, after everything was settled
+    # nothing was tuned on the seeds from 500 on
     exact, near = round_trip(range(first, first + 100))
     assert exact >= 97
     assert near >= 95

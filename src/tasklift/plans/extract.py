@@ -472,8 +472,10 @@ def _taut(line: Points, free: NDArray[np.bool_]) -> Points:
     middle = len(kept) - 2
     while middle > 0:
         corners = np.rint(line[kept[middle - 1 : middle + 2]]).astype(np.int64)
-        # not only where the short cut lies: between it and the corner there may be a wall as well
-        if free[tuple(straight(corners[0], corners[2]).T)].all() and free[polygon(corners[:, 0], corners[:, 1], free.shape)].all():
+        cut = straight(corners[0], corners[2]).T
+        # not only the short cut itself: between it and the corner there may be a wall as well
+        between = polygon(corners[:, 0], corners[:, 1], free.shape)
+        if free[tuple(cut)].all() and free[between].all():
             del kept[middle]
             middle = min(middle, len(kept) - 2)
         else:

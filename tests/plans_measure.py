@@ -313,3 +313,13 @@ def office(pixels: int) -> Plan:
                     rows = slice(r, row) if i == 0 else slice(row + 94, r + block[0])
                     free[rows, door : door + 18] = True
     return Plan("office", free, np.zeros_like(free), free.astype(np.uint8) * 254, 0.05, (0.0, 0.0, 0.0))
+
+
+def write_office(folder: Path, pixels: int) -> Path:
+    """Write :func:`office` as a ROS map; returns the YAML file."""
+    (folder / "office.pgm").write_bytes(b"P5\n%d %d\n255\n" % (pixels, pixels) + office(pixels).grey.tobytes())
+    path = folder / "office.yaml"
+    path.write_text(
+        "image: office.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    return path

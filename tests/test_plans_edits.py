@@ -19,7 +19,7 @@ from tasklift.plans.check import check, node_lines
 from tasklift.plans.cli import map_group
 from tasklift.plans.edits import HEADER, apply_edits, parse_edits, read_edits
 from tasklift.plans.importing import export, import_map
-from tasklift.plans.overlay import draw_overlay
+from tasklift.plans.overlay import LARGEST_PICTURE, draw_overlay
 from tasklift.plans.patrolling import read_graph
 from tasklift.plans.ros import read_ros
 from test_plans_readers import pgm, two_rooms, write_map
@@ -243,3 +243,17 @@ def test_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert run(map_group, ["import", "map.yaml", "--seed-point", "3"]).exit_code == 2
     result = run(map_group, ["import", "nothing.yaml"])
     assert isinstance(result.exception, TaskliftError)  # which tasklift's main prints as one line, exit code 2
+
+
+def test_a_large_picture_keeps_its_thin_walls(tmp_path: Path) -> None:
+    grey = np.full((LARGEST_PICTURE + 200, 300), 254, np.uint8)
+    grey[:4] = grey[-4:] = grey[:, :4] = grey[:, -4:] = 0
+    grey[1001] = 0  # one pixel thick
+    grey[1001, 100:130] = 254
+    plan = read_ros(write_map(tmp_path, image=pgm(grey)))
+    building, _ = import_map(tmp_path / "map.yaml")
+    assert int((building.feature_class == DOOR).sum()) == 1
+    draw_overlay(building, tmp_path / "large.png", plan)
+    drawn = np.asarray(Image.open(tmp_path / "large.png").convert("L"))
+    wall = (drawn < 100).mean(axis=1) > 0.05  # rows in which a wall is drawn
+    assert wall[drawn.shape[0] // 3 : drawn.shape[0] // 2 + 50].any()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from plans_measure import (
     loop_count,
     needs_maps,
     office,
+    write_office,
 )
 from tasklift.building.generate import generate
 from tasklift.building.graph import DOOR, INTERSECTION, NONE, ROOM, Building
@@ -152,12 +154,12 @@ def test_small_office_is_exact() -> None:
 
 
 @pytest.mark.slow
-def test_a_large_plan() -> None:
+def test_a_large_plan(tmp_path: Path) -> None:
     import resource
 
-    plan = office(4000)
+    path = write_office(tmp_path, 4000)
     begin = time.process_time()
-    building, _ = extract(plan)
+    building, _ = import_map(path, tmp_path / "office.json", tmp_path / "office.png")
     seconds = time.process_time() - begin
     gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(f"\n4,000 x 4,000: {building!r} {seconds:.1f} s of processor time (bar 25), {gigabytes:.2f} GB (bar 2)")

@@ -85,7 +85,7 @@ def turn_before_door(door: Node, line: Points, space: Space) -> tuple[Points, fl
     ``line`` begins at the door. ``None`` if that is not on the floor, or not near.
     """
     across = _square_to(door)
-    axis = _axis(line, 0.0, space)
+    axis = None if across is None else _axis(line, 0.0, space)
     if across is None or axis is None:
         return None
     normal, offset = np.array([across[0], axis[0]]), np.array([across[1], axis[1]])
@@ -159,6 +159,8 @@ def _facing_at(
     near = walls.near(point, 1.1 * half + 2)
     long = walls.length[near] * space.cell_m >= shortest_m
     near = near[long & (np.abs(walls.ahead[near] @ towards) > ahead)]
+    if len(near) < 2:
+        return []
     inward, beside = walls.inward[near], walls.beside(near, point)
     first, second = np.nonzero(np.triu(inward @ inward.T < FACING))
     apart = ((beside[second] - beside[first]) * inward[first]).sum(axis=1) * space.cell_m

@@ -405,7 +405,8 @@ def _name_bends(graph: PathGraph, space: Space, settings: Settings) -> None:
     """Put a node of role "bend" or "corner" wherever a corridor turns."""
     for door in [number for number, node in graph.nodes.items() if node.role == "door"]:
         for edge in sorted(graph.incident[door]):
-            _bend_before(graph, edge, door, space, settings)
+            if graph.nodes[graph.other(edge, door)].role != "room":
+                _bend_before(graph, edge, door, space, settings)
     for edge in list(graph.edges):
         line = graph.edges[edge][2]
         corners = _corners(line, space, settings)

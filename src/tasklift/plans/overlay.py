@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
@@ -24,6 +25,7 @@ _SIGNS: tuple[tuple[str, int, int | None, str, str, float], ...] = (
 )
 LONGEST_SIDE_INCHES = 16.0
 PIXELS_PER_INCH = 100
+LARGEST_PICTURE = 2000
 
 
 def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | None = None) -> None:
@@ -85,11 +87,13 @@ def _draw_picture(axes: Any, plan: Plan) -> None:
     """The plan in pale grey, turned by its yaw."""
     from matplotlib.transforms import Affine2D
 
-    height, width = plan.grey.shape
     x, y, yaw = plan.origin
     pale = (160 + plan.grey.astype(np.float32) * (95 / 255)).astype(np.uint8)
     pale[~plan.free & ~plan.unknown] = 70
-    extent = (0.0, width * plan.resolution_m, 0.0, height * plan.resolution_m)
+    top = pale.shape[0]
+    pale, factor = _darkest(pale)
+    left, right, bottom = 0, pale.shape[1] * factor, top - pale.shape[0] * factor
+    extent = tuple(plan.resolution_m * edge for edge in (left, right, bottom, top))
     axes.imshow(
         pale,
         cmap="gray",
@@ -100,6 +104,15 @@ def _draw_picture(axes: Any, plan: Plan) -> None:
         zorder=0,
         transform=Affine2D().rotate(yaw).translate(x, y) + axes.transData,
     )
+
+
+def _darkest(grey: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int]:
+    """A large picture made smaller, and by which factor: by the darkest of each block, so that thin walls stay."""
+    factor = -(-max(grey.shape) // LARGEST_PICTURE)
+    if factor > 1:
+        grey = np.pad(grey, [(0, -size % factor) for size in grey.shape], constant_values=255)
+        grey = grey.reshape(grey.shape[0] // factor, factor, -1, factor).min(axis=(1, 3))
+    return grey, factor
 
 
 def _draw_graph(axes: Any, building: Building, scale: float) -> None:
@@ -130,17 +143,10 @@ def _draw_graph(axes: Any, building: Building, scale: float) -> None:
     ring: dict[str, Any] = {"marker": "o", "markerfacecolor": "none", "markeredgecolor": "#ea580c", "linestyle": "none"}
     axes.plot(*position[building.start], **ring, markersize=size * 2.4, markeredgewidth=2, zorder=4)
     handles.append(Line2D([], [], **ring, markersize=10, markeredgewidth=2, label="start"))
+    beside = size / 72 / scale  # as far as the sign is large (m); annotations with offsets would take twice the time
     for node, (x, y) in enumerate(position.tolist()):
-        axes.annotate(
-            str(node),
-            (x, y),
-            (size * 0.55, size * 0.45),
-            textcoords="offset points",
-            fontsize=size * 0.95,
-            color="#111827",
-            zorder=5,
-            clip_on=True,
-        )
+        where = x + 0.55 * beside, y + 0.45 * beside
+        axes.text(*where, str(node), fontsize=size * 0.95, color="#111827", zorder=5, clip_on=True)
     axes.legend(
         handles=handles,
         loc="upper center",

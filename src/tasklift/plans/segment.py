@@ -59,9 +59,7 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
     np.maximum.at(merged_peak, group, peak)
     a, b, height, where = _passes(basin, half)
     root = _merge(space, settings, basin, merged_peak, (a, b, height, where))
-    region = _tidy(space, settings, root[basin])
-    openings = _openings(space, settings, region)
-    measure = measure_regions(space, region, openings)
+    region, openings, measure = _tidy(space, settings, root[basin])
     is_room = measure.rooms(settings)
     for opening in openings:
         # a piece of corridor between two doors is no room, however short: it goes on beyond the door
@@ -265,8 +263,13 @@ def _goes_on(space: Space, opening: Opening) -> bool:
     return min(widths) > 1.2 * half and max(widths) < 1.15 * min(widths)
 
 
-def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Join what is no space of its own to its neighbour: slivers, bays, and the two ways around a table."""
+def _tidy(
+    space: Space, settings: Settings, region: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], list[Opening], Regions]:
+    """Join what is no space of its own to its neighbour: slivers, bays, and the two ways around a table.
+
+    Returns the regions, the openings between them, and what is known of each.
+    """
     while True:
         openings = _openings(space, settings, region)
         measure = measure_regions(space, region, openings)
@@ -294,7 +297,7 @@ def _tidy(space: Space, settings: Settings, region: NDArray[np.int32]) -> NDArra
                 root[a] = b
                 touched |= {a, b}
         if not touched:
-            return region
+            return region, openings, measure
         region = np.unique(root, return_inverse=True)[1].astype(np.int32)[region]
 
 

@@ -17,7 +17,7 @@ from tasklift.plans.outline import Outline
 from tasklift.plans.ros import Plan
 
 EIGHT = np.ones((3, 3), bool)  # neighbours across corners count
-STRAIGHT_M = 0.1
+STRAIGHT_M = 0.1  # walls are straight within this
 ROUNDING = 1e-3  # 0.3 m are three cells of 0.1 m, whatever 0.3 / 0.1 is in binary
 DOOR_RULES = ("relative", "absolute")
 
@@ -177,11 +177,12 @@ def _nearest_wall(free: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray
     from scipy import ndimage
 
     nearest = ndimage.distance_transform_edt(free, return_distances=False, return_indices=True)
-    # in whole numbers as far as that goes: scipy's own distances take twice the time and the memory
-    square = np.zeros(free.shape, np.int32)
+    # scipy's own distances take twice the time and the memory; whole numbers up to 4,096 squared stay whole in these
+    square = np.zeros(free.shape, np.float32)
     for axis, size in enumerate(free.shape):
-        square += np.square(nearest[axis] - np.arange(size, dtype=np.int32).reshape((-1, 1) if axis == 0 else (1, -1)))
-    return np.sqrt(square, dtype=np.float32), nearest
+        cells = np.arange(size, dtype=np.int32).reshape((-1, 1) if axis == 0 else (1, -1))
+        square += np.square((nearest[axis] - cells).astype(np.float32))
+    return np.sqrt(square, out=square), nearest
 
 
 def _pieces(core: NDArray[np.bool_], radius: float) -> NDArray[np.int32]:

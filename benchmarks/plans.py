@@ -3,9 +3,9 @@
     python benchmarks/plans.py [--round-trips 100] [--large]
 
 One default setting for all maps. It was tuned on cumberland, broughton, DIAG_labs, grid, Willow Garage and on
-drawn buildings with seeds below 500; 1r5 and move_base_arena were measured
-meanwhile, the other maps looked at afterwards. The maps are looked for in ``../shared/maps`` beside the
-repository; what needs them is left out where they are not there.
+drawn buildings with seeds below 500; 1r5 and move_base_arena were measured meanwhile, and the hotel of open-rmf
+decided between two values that were equal elsewhere; the other maps were looked at afterwards. The maps are looked
+for in ``../shared/maps`` beside the repository; what needs them is left out where they are not there.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from tasklift.plans.ros import Plan
 MAPS = Path(__file__).parents[2] / "shared" / "maps"
 LABELS = Path(__file__).parent / "data" / "willow_labels.json"
 WITHIN_M = 1.5
-PLAIN_M, FORK_M2 = 0.3, 4.0
+PLAIN_M, FORK_M2, SIGHT_M = 0.3, 4.0, 20.0
 
 
 def needs_maps() -> Path:
@@ -204,10 +204,11 @@ def before_plain_walls(hand: Building, plan: Plan) -> np.ndarray:
 
 
 def _clear_m(plan: Plan, at: np.ndarray, ahead: np.ndarray) -> float:
-    """How far one sees from a point in a direction (m)."""
-    points = at + np.arange(0, 20, plan.resolution_m / 2)[:, None] * ahead
-    cells = np.clip(np.floor(plan.to_pixels(points)).astype(int), 0, np.array(plan.free.shape) - 1)
-    return float((~plan.free[tuple(cells.T)]).argmax()) * plan.resolution_m / 2
+    """How far one sees from a point in a direction, up to ``SIGHT_M`` (m)."""
+    away = np.arange(0, SIGHT_M, plan.resolution_m / 2)
+    cells = np.floor(plan.to_pixels(at + away[:, None] * ahead)).astype(int)
+    hidden = ~plan.free[tuple(np.clip(cells, 0, np.array(plan.free.shape) - 1).T)]
+    return float(away[hidden.argmax()]) if hidden.any() else SIGHT_M
 
 
 def _on_a_corridor(hand: Building, building: Building, nodes: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ def centre_nodes(graph: PathGraph, space: Space, roles: tuple[str, ...]) -> None
                 normal.append(axis[0])
                 offset.append(axis[1])
                 begin[edge] = axis[2]
-        most = max(1.0, 2.0 * node.half) / space.cell_m
+        most = max(1.0, 2.0 * node.half) / space.cell_m  # sharp corners lie farthest from the skeleton
         moved = _crossing(np.array(node.at), np.array(normal), np.array(offset), most, space)
         if moved is not None:
             moves.append((number, moved, begin))

@@ -26,7 +26,7 @@ SHORTEST_RING_M = 1.2
 LONE_SPECKLE_M = 0.2
 DOOR_TOLERANCE_M = 0.75
 BEND_TOLERANCE_M = 0.6
-TURN_M = 2.0
+TURN_M = 2.0  # how far from a bend its two corridors show how it turns
 SAME_M = 0.6  # junctions whose corridors' axes cross so near to each other are one
 
 

@@ -57,30 +57,28 @@ def cut_mouths(
     from scipy import ndimage
 
     doors: list[tuple[int, int]] = []
-    if ways_out:
-        region = region.copy()
-        half = space.half_width_m / space.cell_m
-        boxes, gaps = ndimage.find_objects(region), _gaps(space, half)
-        for room, pixels in ways_out.items():
-            box = tuple(slice(s.start - 1, s.stop + 1) for s in boxes[room - 1])
-            corner = np.array([s.start for s in box])
-            depth = np.where(region[box] == room, half[box], 0)
-            mine = [g for g in gaps if region[g.middle] == room and g.width <= NARROWER * 2 * depth.max()]
-            inside = np.unravel_index(np.argmax(depth), depth.shape)
-            left = np.array(pixels) - corner
-            while mine and len(left):
-                gap, beyond, apart = _best_cut(region[box] == room, inside, mine, left, corner)
-                around = region[box][ndimage.binary_dilation(beyond) & (region[box] != room)]
-                border = np.bincount(around, minlength=len(is_room)) * ~is_room
-                border[0] = 0
-                if not apart.any() or not border.any():
-                    break
-                region[box][beyond] = np.argmax(border)
-                left = left[~apart]
-                if _is_passed(region, room, gap, space):
-                    doors.append(gap.middle)
-        region = _in_one_piece(space, region)
-    return region, np.array(doors, np.int64).reshape(-1, 2)
+    region = region.copy()
+    half = space.half_width_m / space.cell_m
+    boxes, gaps = ndimage.find_objects(region), _gaps(space, half)
+    for room, pixels in ways_out.items():
+        box = tuple(slice(s.start - 1, s.stop + 1) for s in boxes[room - 1])
+        corner = np.array([s.start for s in box])
+        depth = np.where(region[box] == room, half[box], 0)
+        mine = [g for g in gaps if region[g.middle] == room and g.width <= NARROWER * 2 * depth.max()]
+        inside = np.unravel_index(np.argmax(depth), depth.shape)
+        left = np.array(pixels) - corner
+        while mine and len(left):
+            gap, beyond, apart = _best_cut(region[box] == room, inside, mine, left, corner)
+            around = region[box][ndimage.binary_dilation(beyond) & (region[box] != room)]
+            border = np.bincount(around, minlength=len(is_room)) * ~is_room
+            border[0] = 0
+            if not apart.any() or not border.any():
+                break
+            region[box][beyond] = np.argmax(border)
+            left = left[~apart]
+            if _is_passed(region, room, gap, space):
+                doors.append(gap.middle)
+    return _in_one_piece(space, region), np.array(doors, np.int64).reshape(-1, 2)
 
 
 def _gaps(space: Space, half: NDArray[np.float32]) -> list[_Gap]:

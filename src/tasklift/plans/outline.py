@@ -67,9 +67,7 @@ class Outline:
         ahead = self.ahead[walls]
         return self.middle[walls] + ((point - self.middle[walls]) * ahead).sum(axis=1)[:, None] * ahead
 
-    def gaps(
-        self, half: NDArray[np.float32], shortest: float, longest: float
-    ) -> Iterator[NDArray[np.int64]]:
+    def gaps(self, half: NDArray[np.float32], shortest: float, longest: float) -> Iterator[NDArray[np.int64]]:
         """The gaps in walls: from where a wall ends straight on to the next wall.
 
         Yields the cells ``(n, 2)`` of the line across, from wall to wall.

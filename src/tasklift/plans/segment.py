@@ -69,13 +69,15 @@ def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Op
                 is_room[r] = is_room[r] and not narrow
     if not openings:
         is_room[:] = False  # one space alone: its inner structure is all there is
-    region, doors = cut_mouths(space, region, _ways_out(openings, is_room, measure), is_room)
-    openings = _openings(space, settings, region)
-    for opening in openings:
-        near = np.hypot(*(doors - opening.pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M
-        opening.is_door |= near and opening.width_m < settings.door_width_m
-    measure = measure_regions(space, region, openings)
-    is_room = np.pad(is_room, (0, len(measure.exits) - len(is_room)))
+    ways_out = _ways_out(openings, is_room, measure)
+    if ways_out:
+        region, doors = cut_mouths(space, region, ways_out, is_room)
+        openings = _openings(space, settings, region)
+        for opening in openings:
+            near = np.hypot(*(doors - opening.pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M
+            opening.is_door |= near and opening.width_m < settings.door_width_m
+        measure = measure_regions(space, region, openings)
+        is_room = np.pad(is_room, (0, len(measure.exits) - len(is_room)))
     walls = _Walls(space, settings)
     openings += _inner_doors(space, settings, region, perhaps, openings, walls)
     for opening in openings:

@@ -28,12 +28,13 @@ from plans_measure import (
     farthest_intersection_m,
     write_office,
 )
+
 from tasklift.building.generate import generate
 from tasklift.errors import TaskliftError
-from tasklift.plans.extract import extract
+from tasklift.plans.extract.rooms_and_corridors import extract
 from tasklift.plans.importing import import_map
 from tasklift.plans.raster import rasterise
-from tasklift.plans.ros import read_ros
+from tasklift.plans.read.ros import read_ros
 
 TUNED = ("cumberland", "broughton", "DIAG_labs", "grid")
 OTHERS = ("L440", "1r5", "move_base_arena", "ctcv")

@@ -15,7 +15,7 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from tasklift.building import SCOUT, WEAPON, Mission, generate
-from tasklift.policy import Policy
+from tasklift.tasks.policy import Policy
 from tasklift.watch import page, replay
 
 PLAY = """async (start) => {

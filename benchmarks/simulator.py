@@ -15,9 +15,9 @@ import numpy as np
 from tasklift.building import kernel
 from tasklift.building.generate import generate
 from tasklift.building.mission import PRESETS, SCOUT, WEAPON, Mission, search_only
-from tasklift.learn import Reinforcement, reinforce
-from tasklift.paper.arms import PRIOR, learn_source
-from tasklift.policy import Policy
+from tasklift.learning.reinforcement import Reinforcement, reinforce
+from tasklift.studies.arms import PRIOR, learn_source
+from tasklift.tasks.policy import Policy
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from oracle import Oracle

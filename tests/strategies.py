@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tasklift.building.graph import FEATURE, INTERSECTION, ROOM, Building
 from tasklift.building.mission import Kind, Mission, Reading, hostile_candidates
-from tasklift.learn import Reinforcement
+from tasklift.learning.reinforcement import Reinforcement
 
 readings = st.builds(
     Reading,

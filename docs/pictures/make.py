@@ -14,7 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from tasklift.building import SCATTERED, generate
-from tasklift.paper.study import Study
+from tasklift.studies.study import Study
 from tasklift.watch import page, replay
 from tasklift.watch.sources import study_traces
 

@@ -1,4 +1,4 @@
-"""Show Sphinx roles in docstrings (``:class:`tasklift.task.Task```) as code in the reference."""
+"""Show Sphinx roles in docstrings (``:class:`tasklift.tasks.task.Task```) as code in the reference."""
 
 from __future__ import annotations
 

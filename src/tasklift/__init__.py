@@ -9,16 +9,16 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "errors": ("TaskliftError",),
-    "task": ("Signal", "Task", "Variable"),
-    "policy": ("Policy", "invert", "scale", "set_weight", "swap"),
-    "learn": ("Curve", "Outcomes", "Reinforcement", "Trials", "reinforce", "sweep"),
-    "steps": ("Step", "StepTrials", "Steps"),
-    "model": ("Model",),
-    "values": ("ValueLearning", "evaluate", "learn_values"),
-    "guard": ("Guard",),
-    "transfer": ("Curriculum", "Ledger", "Stage"),
-    "verdict": ("compare",),
-    "approx": ("approximate", "fidelity", "learn_approximate"),
+    "tasks.task": ("Signal", "Task", "Variable"),
+    "tasks.policy": ("Policy", "invert", "scale", "set_weight", "swap"),
+    "learning.reinforcement": ("Curve", "Outcomes", "Reinforcement", "Trials", "reinforce", "sweep"),
+    "learning.steps": ("Step", "StepTrials", "Steps"),
+    "learning.model": ("Model",),
+    "learning.values": ("ValueLearning", "evaluate", "learn_values"),
+    "learning.guard": ("Guard",),
+    "learning.curriculum": ("Curriculum", "Ledger", "Stage"),
+    "learning.compare": ("compare",),
+    "learning.approx": ("approximate", "fidelity", "learn_approximate"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

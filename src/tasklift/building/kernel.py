@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from tasklift import rules as scalar
+from tasklift.tasks import choice as scalar
 
 # Nothing here allocates, so no array's references need counting: left on, Numba's atomic counters take half of the
 # time. The option is private to Numba but used in its own sources; without it all is the same, only slower.

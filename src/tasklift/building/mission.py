@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 from tasklift.building.graph import DOOR, FEATURE, Building
 from tasklift.errors import TaskliftError
-from tasklift.task import Signal, Task, Variable
+from tasklift.tasks.task import Signal, Task, Variable
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import SearchOutcomes, Simulator
@@ -204,7 +204,7 @@ def hostile_candidates(building: Building) -> list[int]:
 class Mission:
     """A building, a team, hidden hostiles and the rules they live by. A world that policies are trained on.
 
-    It implements :class:`tasklift.learn.Trials`.
+    It implements :class:`tasklift.learning.reinforcement.Trials`.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ class Mission:
 
     @property
     def run(self) -> Callable[..., SearchOutcomes]:
-        """Run trials: :meth:`tasklift.building.simulator.Simulator.run`, as :class:`tasklift.learn.Trials` asks."""
+        """Run trials, as :class:`~tasklift.learning.reinforcement.Trials` asks: :meth:`Simulator.run`."""
         return self.simulator.run
 
 

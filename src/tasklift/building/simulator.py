@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from tasklift.building import kernel, layout
 from tasklift.building.mission import hostile_candidates
 from tasklift.errors import TaskliftError
-from tasklift.learn import SWEEP_STAGE, TARGET_STAGE, Outcomes, Reinforcement
-from tasklift.task import Task
+from tasklift.learning.reinforcement import SWEEP_STAGE, TARGET_STAGE, Outcomes, Reinforcement
+from tasklift.tasks.task import Task
 
 if TYPE_CHECKING:
     from tasklift.building.mission import Mission
-    from tasklift.policy import Policy
+    from tasklift.tasks.policy import Policy
 
 _SPLITS = ("robots", "pairs", "team")
 _SHARES = ("none", "team", "radio")
@@ -231,7 +231,7 @@ class Simulator:
         learn: bool = True,
         max_losses: int | None = None,
     ) -> SearchOutcomes:
-        """Run trials on one lane; ``weights`` (S, A) learn in place. See :meth:`tasklift.learn.Trials.run`."""
+        """Run trials on one lane; ``weights`` (S, A) learn in place. See :class:`.Trials`."""
         if weights.shape != task.shape or weights.dtype != np.float64 or not weights.flags.c_contiguous:
             raise TaskliftError(
                 f"weights: expected a C-ordered float64 array of shape {task.shape} for task {task.name!r}, "

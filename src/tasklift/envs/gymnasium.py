@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from tasklift.errors import TaskliftError
-from tasklift.model import Model
-from tasklift.steps import Step
-from tasklift.task import Task
-from tasklift.variable import Variable
+from tasklift.learning.model import Model
+from tasklift.learning.steps import Step
+from tasklift.tasks.task import Task
+from tasklift.tasks.variable import Variable
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def _nothing(event: Event) -> int:
 
 
 class Factored:
-    """A Gymnasium environment as a world that is met step by step (:class:`tasklift.steps.Steps`).
+    """A Gymnasium environment as a world that is met step by step (:class:`tasklift.learning.steps.Steps`).
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Factored:
         return hasattr(world, "P") and hasattr(world, "initial_state_distrib")
 
     def model(self) -> Model:
-        """Return the environment as an explicit :class:`~tasklift.model.Model`: the same world, much faster.
+        """Return the environment as an explicit :class:`~tasklift.learning.model.Model`: the same world, much faster.
 
         For environments that keep their transitions in ``P`` and ``initial_state_distrib``, as Gymnasium's
         toy text environments do. Loss and success are asked once for every transition.

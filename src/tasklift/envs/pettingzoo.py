@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tasklift.building import Mission
 from tasklift.building.simulator import Simulator
 from tasklift.errors import TaskliftError
-from tasklift.learn import TARGET_STAGE, Reinforcement
+from tasklift.learning.reinforcement import TARGET_STAGE, Reinforcement
 
 try:
     from gymnasium.spaces import MultiDiscrete

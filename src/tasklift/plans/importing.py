@@ -12,9 +12,9 @@ from typing import Any
 from tasklift.building.graph import FORMAT, Building
 from tasklift.errors import TaskliftError
 from tasklift.plans.edits import apply_edits, read_edits
-from tasklift.plans.ros import Plan, read_ros
-from tasklift.plans.space import DOOR_RULES, Settings
-from tasklift.plans.yamls import read_yaml
+from tasklift.plans.extract.space import DOOR_RULES, Settings
+from tasklift.plans.read.ros import Plan, read_ros
+from tasklift.plans.read.yamls import read_yaml
 
 
 def import_map(
@@ -71,13 +71,13 @@ def import_map(
     plan: Plan | None = None
     doubts: list[str] = []
     if kind == "graph":
-        from tasklift.plans.patrolling import read_graph
+        from tasklift.plans.read.patrolling import read_graph
 
         building = read_graph(path)
         if start is not None:
             building = replace(building, start=_start(building, start))
     else:
-        from tasklift.plans.extract import extract
+        from tasklift.plans.extract.rooms_and_corridors import extract
 
         plan = _plan(kind, path, level, allow_outside, document)
         settings = _settings(smallest_room_m2, door_rule, narrowest_m)
@@ -113,7 +113,7 @@ def _plan(
     document: dict[str, Any] | None,
 ) -> Plan:
     if kind == "rmf":
-        from tasklift.plans.rmf import read_rmf
+        from tasklift.plans.read.rmf import read_rmf
 
         return read_rmf(path, level=level, document=document)
     return read_ros(path, allow_outside=allow_outside, document=document)
@@ -182,7 +182,7 @@ def _settings(smallest_room_m2: float | None, door_rule: str | None, narrowest_m
 
 
 def _start(building: Building, start: tuple[float, float] | int) -> int:
-    from tasklift.plans.extract import choose_start
+    from tasklift.plans.extract.rooms_and_corridors import choose_start
 
     return choose_start(building.name, building.kind, building.position_m, start)
 
@@ -195,7 +195,7 @@ def export(building: Building, path: str | os.PathLike[str], resolution_m: float
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".graph":
-        from tasklift.plans.patrolling import write_graph
+        from tasklift.plans.read.patrolling import write_graph
 
         write_graph(building, path, resolution_m)
         return ["a .graph file holds places and corridors only: no kinds, widths or areas"]

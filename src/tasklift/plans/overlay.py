@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
-from tasklift.plans.ros import Plan
+from tasklift.plans.read.ros import Plan
 
 # Told apart by shape as well as by colour
 _SIGNS: tuple[tuple[str, int, int | None, str, str, float], ...] = (
@@ -54,7 +54,7 @@ def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | 
     figure = Figure(figsize=(max(4.0, width * scale), max(3.0, height * scale + 0.6)), dpi=PIXELS_PER_INCH)
     axes = figure.add_axes((0.005, 0.04, 0.99, 0.955))
     if plan is None:
-        from tasklift.plans.draw import draw_plan
+        from tasklift.building.draw import draw_plan
 
         draw_plan(building, axes, legend=False)
     else:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.building.draw import corridor_floor, footprints
 from tasklift.building.graph import DOOR, Building
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
-from tasklift.plans.draw import corridor_floor, footprints
-from tasklift.plans.ros import LARGEST_PIXELS, Plan
+from tasklift.plans.read.ros import LARGEST_PIXELS, Plan
 
 DOOR_GAP_M = 1.0
 WALL_M = 0.2
@@ -25,7 +25,7 @@ FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 def rasterise(building: Building, resolution_m: float = 0.05) -> Plan:
     """Draw the floor plan of ``building`` in pixels: floor free, walls around it occupied, the rest unknown.
 
-    Corridors are bands of their width, rooms as in :func:`tasklift.plans.draw.footprints`. A door in a
+    Corridors are bands of their width, rooms as in :func:`tasklift.building.draw.footprints`. A door in a
     corridor is a wall across it with a gap of 1 m; a room's link is as wide as its edge says, with or without
     a door. Bends and corners show as far as the corridor turns there, other features do not show.
 

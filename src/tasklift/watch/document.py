@@ -27,8 +27,8 @@ from tasklift.files import read_document
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import Trace
-    from tasklift.task import Task
-    from tasklift.variable import Variable
+    from tasklift.tasks.task import Task
+    from tasklift.tasks.variable import Variable
 
 FORMAT, VERSION = "tasklift-replay", 1
 
@@ -87,8 +87,8 @@ def _building(building: Building) -> dict[str, Any]:
     """The graph, and the floor plan as polygons (m, to the centimetre)."""
     import shapely
 
+    from tasklift.building.draw import corridor_floor, footprints
     from tasklift.building.simulator import edge_cost_mm
-    from tasklift.plans.draw import corridor_floor, footprints
 
     corridors, rooms = corridor_floor(building), footprints(building)
     floor = shapely.union_all([corridors, *rooms.values()])

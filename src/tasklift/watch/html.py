@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tasklift.lab.charts import data_block, escape
+from tasklift.report.charts import data_block, escape
 
 _HERE = Path(__file__).parent / "page"
 #: One script, in this order: what a replay means, how it is drawn, what people do with it

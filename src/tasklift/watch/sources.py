@@ -16,10 +16,10 @@ from tasklift.building.graph import Building
 from tasklift.building.mission import Kind, Mission, Reading
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, Store
-from tasklift.learn import GREEDY_STAGE, TARGET_STAGE, Reinforcement
-from tasklift.paper.arms import ARMS, arm_named
-from tasklift.paper.study import Study
-from tasklift.policy import Policy
+from tasklift.learning.reinforcement import GREEDY_STAGE, TARGET_STAGE, Reinforcement
+from tasklift.studies.arms import ARMS, arm_named
+from tasklift.studies.study import Study
+from tasklift.tasks.policy import Policy
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import Trace

@@ -1,0 +1,488 @@
+"""Other representations: a policy as a decision tree or a neural network, and back into a table.
+
+"If it is viewed as a table of inputs and respective output values, then this policy is a simple functional mapping
+that is fed into a neural network or decision tree. Conversely, the policy can be extracted from the learning
+algorithm by providing all the different possible inputs" (Singh & Adams 2006, section III). Nothing here enumerates
+a task's inputs unless asked to, so tasks whose tables would not fit in memory can be learned this way.
+
+Needs the extra ``approx`` (``pip install "tasklift[approx]"``). Shapes: ``n`` inputs, ``A`` outputs.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.errors import TaskliftError
+from tasklift.learning.reinforcement import GREEDY_STAGE, whole_number
+from tasklift.learning.steps import Chances, StepOutcomes, Steps, View, outcomes_of
+from tasklift.tasks import choice as rules
+from tasklift.tasks.policy import Policy, Prior, spread
+from tasklift.tasks.task import Task
+from tasklift.tasks.variable import Variable
+
+Floats = NDArray[np.float64]
+Positions = NDArray[np.int64]
+Kind = Literal["tree", "network"]
+
+
+class Regressor(Protocol):
+    """Weights as a function of inputs."""
+
+    def rows(self, positions: Positions) -> Floats:
+        """Return the weights (n, A) of inputs, given by the positions of their values, int64 (n, variables)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Approximation:
+    """A policy held by a function from inputs to weights in place of a table.
+
+    Made by :func:`approximate` from a policy, by :func:`learn_approximate` from experience, or by :meth:`extend`.
+    """
+
+    task: Task
+    regressor: Regressor
+    kind: Literal["weight", "value"] = "value"
+
+    def weights(self, inputs: Sequence[int]) -> Floats:
+        """Return the weights, float64 (n, A), of inputs given by their indices."""
+        return self.rows(self.task.input_positions(inputs))
+
+    def rows(self, positions: Positions) -> Floats:
+        """Return the weights, float64 (n, A), of inputs given by the positions of their values."""
+        found = self.regressor.rows(positions)
+        return np.maximum(found, 0.0) if self.kind == "weight" else found
+
+    def best(self, inputs: Sequence[int]) -> NDArray[np.int64]:
+        """Return the heaviest output of each of the inputs; the first one where several are equal."""
+        return np.argmax(self.weights(inputs), axis=1).astype(np.int64)
+
+    def to_policy(self) -> Policy:
+        """Return the table, by asking for every input."""
+        self.task.need_room(self.task.shape[0] * self.task.shape[1], "the policy")
+        weights = self.rows(_all_positions(self.task))
+        return Policy(self.task, weights, {"extracted_from": type(self.regressor).__name__}, self.kind)
+
+    def extend(self, task: Task, prior: Sequence[Prior] = ()) -> Approximation:
+        """Extend to a task that this one's came from, as :meth:`.Policy.extend` does for tables."""
+        ancestor = self.task.ancestor(task)
+        # priors with unknown names are refused now, not at the first question
+        nobody = np.zeros((0, len(task.inputs)), dtype=np.int64)
+        for operation in prior:
+            operation.apply(task, np.zeros((0, task.shape[1])), nobody)
+        return Approximation(task, _Extended(self, ancestor, tuple(prior)), self.kind)
+
+    def rules(self, inputs: Sequence[int] | None = None, *, max_leaves: int = 16) -> str:
+        """Return the best outputs as nested rules, read off a small decision tree.
+
+        Parameters
+        ----------
+        inputs
+            Over these; default: all of them.
+        max_leaves
+            The tree may have so many ends; see :func:`fidelity` for what that costs.
+        """
+        positions = _all_positions(self.task) if inputs is None else self.task.input_positions(inputs)
+        small = _Tree(positions, self.rows(positions), max_leaves, 1)
+        return "\n".join(_told(small.tree.tree_, 0, self.task, {}))
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """How well an approximation stands for a table.
+
+    ``same_best``: share of inputs whose best output is (one of) the table's best; ``same_best_visited``: the same,
+    inputs weighted by visits (NaN without visits); ``table_return``, ``approximation_return``: mean return of both,
+    played greedily on a world (NaN without one).
+    """
+
+    same_best: float
+    same_best_visited: float
+    table_return: float
+    approximation_return: float
+
+
+def approximate(
+    policy: Policy,
+    kind: Kind = "tree",
+    *,
+    max_leaves: int | None = None,
+    hidden: Sequence[int] = (64, 64),
+    seed: int = 0,
+) -> Approximation:
+    """Fit a decision tree or a neural network to a policy's table.
+
+    Parameters
+    ----------
+    kind
+        ``"tree"``: splits on the order of each variable's values; exact if it may grow. ``"network"``: a perceptron
+        on one-hot inputs.
+    max_leaves
+        Of a tree.
+    hidden
+        Sizes of a network's hidden layers.
+    """
+    positions = _all_positions(policy.task)
+    if kind not in get_args(Kind):
+        raise TaskliftError(f"approximate: expected 'tree' or 'network', found {kind!r}")
+    regressor: Regressor
+    if kind == "tree":
+        regressor = _Tree(positions, policy.weights, max_leaves, 1)
+    else:
+        regressor = _Network(policy.task, positions, policy.weights, hidden, seed)
+    return Approximation(policy.task, regressor, policy.kind)
+
+
+def fidelity(
+    policy: Policy,
+    approximation: Approximation,
+    *,
+    visits: Floats | None = None,
+    world: Steps | None = None,
+    trials: int = 200,
+    seed: int = 0,
+) -> Fidelity:
+    """Compare an approximation with the table it stands for.
+
+    Parameters
+    ----------
+    visits
+        float64 (S,) or (S, A); default: what the policy carries, if it does.
+    world
+        Where both are played greedily, over ``trials`` trials with the same seeds.
+    """
+    found = approximation.rows(_all_positions(policy.task)).argmax(axis=1)
+    best = policy.weights[np.arange(len(found)), found] == policy.weights.max(axis=1)
+    seen: Any = policy.carried.get("visits") if visits is None else visits
+    weight = None if seen is None else np.asarray(seen, dtype=np.float64).reshape(len(found), -1).sum(axis=1)
+    table_return = approximation_return = float("nan")
+    if world is not None:
+        table = Approximation(policy.task, _Table(policy), policy.kind)
+        table_return, approximation_return = (
+            float(play(world, player, trials=trials, seed=seed).returns.mean()) for player in (table, approximation)
+        )
+    return Fidelity(
+        float(best.mean()),
+        float(np.average(best, weights=weight)) if weight is not None and weight.sum() > 0 else float("nan"),
+        table_return,
+        approximation_return,
+    )
+
+
+def play(
+    world: Steps, approximation: Approximation, *, trials: int = 100, seed: int = 0, stage: int = GREEDY_STAGE
+) -> StepOutcomes:
+    """Run trials with the best output at every step, ties at random, and learn nothing."""
+    whole_number(trials, "play, trials", at_least=1)
+    collector = _Collector(world, approximation.task)
+    chances = Chances(seed, stage)
+    for i in range(trials):
+        collector.trial(approximation, chances.of(i), epsilon=0.0)
+    return outcomes_of(collector.records, world.limit)
+
+
+# -- learning without a table ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ApproximateCurve:
+    """A learned approximation, the outcomes on the way to it, and the inputs that were met."""
+
+    approximation: Approximation
+    outcomes: StepOutcomes
+    met: tuple[int, ...]
+
+
+def learn_approximate(
+    world: Steps,
+    start: Approximation | None = None,
+    *,
+    task: Task | None = None,
+    kind: Kind = "tree",
+    rounds: int = 10,
+    trials: int = 50,
+    discount: float = 0.99,
+    epsilon: float = 0.2,
+    sweeps: int = 5,
+    leaf: int = 5,
+    hidden: Sequence[int] = (64, 64),
+    seed: int = 0,
+    stage: int = 2,
+) -> ApproximateCurve:
+    """Learn by fitted Q iteration (Ernst, Geurts & Wehenkel, JMLR 2005): no table, only what was met.
+
+    Each round runs trials with ε-greedy choice, then fits, for each output, a correction to the start's weights:
+    where there is no experience, what was transferred stays.
+
+    Parameters
+    ----------
+    start
+        What to begin with, an extended approximation for example; default: zero everywhere.
+    task
+        What to learn without a start: the world's task or a simplification.
+    rounds, trials, epsilon
+        So many rounds, of so many trials each, with that share of even choices.
+    sweeps
+        Fits per round, each one step further ahead.
+    leaf
+        A tree's leaf holds at least so many experiences.
+    """
+    for name, value in (("rounds", rounds), ("trials", trials), ("sweeps", sweeps), ("leaf", leaf)):
+        whole_number(value, f"learn_approximate, {name}", at_least=1)
+    if kind not in get_args(Kind):
+        raise TaskliftError(f"learn_approximate: expected 'tree' or 'network', found {kind!r}")
+    whole = start.task if start is not None else task or world.task
+    base = start or Approximation(whole, _Zero(whole.shape[1]))
+    current = base
+    collector, chances = _Collector(world, whole), Chances(seed, stage)
+    for number in range(rounds):
+        for i in range(trials):
+            collector.trial(current, chances.of(number * trials + i), epsilon)
+        memory = collector.memory()
+        base_now = base.rows(memory.before)[np.arange(len(memory.output)), memory.output]
+        for _ in range(sweeps):
+            ahead = np.where(memory.ended, 0.0, current.rows(memory.after).max(axis=1))
+            missing = memory.reward + discount * ahead - base_now
+            parts: list[_Tree | _Network | None] = []
+            for output in range(whole.shape[1]):
+                chosen = memory.output == output
+                parts.append(_correction(kind, whole, memory.before[chosen], missing[chosen], leaf, hidden, seed))
+            current = Approximation(whole, _Corrected(base, parts), "value")
+    return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
+
+
+@dataclass
+class _Memory:
+    before: Positions
+    output: NDArray[np.int64]
+    reward: Floats
+    after: Positions
+    ended: NDArray[np.bool_]
+
+
+class _Collector:
+    """Runs trials and remembers them; inputs are numbered as they are met."""
+
+    def __init__(self, world: Steps, task: Task) -> None:
+        self.world, self.view, self.task = world, View(world, task), task
+        self.met: dict[int, int] = {}
+        self.positions: list[list[int]] = []
+        self.steps: list[tuple[int, int, float, int, bool]] = []
+        self.records: list[tuple[int, bool, int, float]] = []
+        self._rows: dict[int, Floats] = {}
+        self._asked: Approximation | None = None
+
+    def _number(self, input: int) -> int:
+        row = self.view.row(input)
+        if row not in self.met:
+            self.met[row] = len(self.met)
+            self.positions.append(self.task.input_positions([row])[0].tolist())
+        return self.met[row]
+
+    def _row(self, number: int, approximation: Approximation) -> Floats:
+        if self._asked is not approximation:
+            # what was met before is asked for at once: one question costs as much as a thousand
+            known = np.array(self.positions, dtype=np.int64).reshape(len(self.positions), -1)
+            self._rows = dict(enumerate(approximation.rows(known)))
+            self._asked = approximation
+        if number not in self._rows:
+            self._rows[number] = approximation.rows(np.array([self.positions[number]], dtype=np.int64))[0]
+        return self._rows[number]
+
+    def trial(self, approximation: Approximation, rng: np.random.Generator, epsilon: float) -> None:
+        chances = np.empty(self.task.shape[1])
+        here = self._number(self.world.start(rng))
+        steps, losses, total = 0, 0, 0.0
+        while True:
+            rules.chances(self._row(here, approximation), epsilon, 0.0, chances)
+            output = rules.draw(chances, rng.random())
+            answer = self.world.step(self.view.columns[output])
+            steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
+            there = here if answer.ended else self._number(answer.input)
+            self.steps.append((here, output, answer.reward, there, answer.ended))
+            if answer.ended or steps >= self.world.limit:
+                self.records.append((steps, answer.success, losses, total))
+                return
+            here = there
+
+    def memory(self) -> _Memory:
+        before, output, reward, after, ended = (np.array(column) for column in zip(*self.steps, strict=True))
+        where = np.array(self.positions, dtype=np.int64).reshape(len(self.positions), -1)
+        return _Memory(where[before], output, reward, where[after], ended)
+
+
+def _correction(
+    kind: Kind, task: Task, positions: Positions, missing: Floats, leaf: int, hidden: Sequence[int], seed: int
+) -> _Tree | _Network | None:
+    if len(positions) < leaf:
+        return None
+    if kind == "tree":
+        return _Tree(positions, missing[:, None], None, leaf)
+    return _Network(task, positions, missing[:, None], hidden, seed)
+
+
+# -- the functions themselves ----------------------------------------------------------------------------------
+
+
+class _Zero:
+    def __init__(self, outputs: int) -> None:
+        self.outputs = outputs
+
+    def rows(self, positions: Positions) -> Floats:
+        return np.zeros((len(positions), self.outputs))
+
+
+class _Table:
+    def __init__(self, policy: Policy) -> None:
+        self.weights, self.sizes = policy.weights, [len(v) for v in policy.task.inputs]
+
+    def rows(self, positions: Positions) -> Floats:
+        if not self.sizes:
+            return np.repeat(self.weights, len(positions), axis=0)
+        return self.weights[np.ravel_multi_index(tuple(positions.T), self.sizes)]
+
+
+class _Tree:
+    """A regression tree on the positions of values; scikit-learn's."""
+
+    def __init__(self, positions: Positions, rows: Floats, max_leaves: int | None, leaf: int) -> None:
+        if max_leaves is not None:
+            whole_number(max_leaves, "tree, max_leaves", at_least=2)
+        tree = _sklearn("tree").DecisionTreeRegressor(max_leaf_nodes=max_leaves, min_samples_leaf=leaf, random_state=0)
+        self.tree = tree.fit(self._features(positions), rows)
+        self.outputs = rows.shape[1]
+
+    def rows(self, positions: Positions) -> Floats:
+        if not len(positions):
+            return np.zeros((0, self.outputs))
+        return np.asarray(self.tree.predict(self._features(positions))).reshape(len(positions), self.outputs)
+
+    @staticmethod
+    def _features(positions: Positions) -> Positions:
+        # a task without inputs has one row; a tree needs something to look at
+        return positions if positions.shape[1] else np.zeros((len(positions), 1), dtype=np.int64)
+
+
+class _Network:
+    """A perceptron on one-hot inputs; scikit-learn's. Targets are scaled to mean 0 and deviation 1."""
+
+    def __init__(self, task: Task, positions: Positions, rows: Floats, hidden: Sequence[int], seed: int) -> None:
+        networks = _sklearn("neural_network")
+        self.sizes, self.outputs = [len(v) for v in task.inputs], rows.shape[1]
+        self.middle, self.spread = rows.mean(), rows.std() or 1.0
+        one = self.outputs == 1
+        solver = "lbfgs" if len(positions) <= 5000 else "adam"
+        with warnings.catch_warnings():
+            # a fit that stops at its limit of iterations is judged by its fidelity, not by a warning
+            warnings.simplefilter("ignore", _sklearn("exceptions").ConvergenceWarning)
+            self.network = networks.MLPRegressor(
+                hidden_layer_sizes=tuple(hidden), solver=solver, max_iter=500, alpha=1e-6, random_state=seed
+            ).fit(self._features(positions), np.squeeze((rows - self.middle) / self.spread, axis=1 if one else ()))
+
+    def _features(self, positions: Positions) -> Floats:
+        parts = [np.eye(size)[positions[:, k]] for k, size in enumerate(self.sizes)]
+        return np.hstack([np.ones((len(positions), 1)), *parts])
+
+    def rows(self, positions: Positions) -> Floats:
+        if not len(positions):
+            return np.zeros((0, self.outputs))
+        found = np.asarray(self.network.predict(self._features(positions)))
+        return found.reshape(len(positions), self.outputs) * self.spread + self.middle
+
+
+class _Corrected:
+    """A start plus, for each output, a correction where there was experience."""
+
+    def __init__(self, base: Approximation, parts: Sequence[_Tree | _Network | None]) -> None:
+        self.base, self.parts = base, parts
+
+    def rows(self, positions: Positions) -> Floats:
+        found = self.base.rows(positions).copy()
+        for output, part in enumerate(self.parts):
+            if part is not None:
+                found[:, output] += part.rows(positions)[:, 0]
+        return found
+
+
+class _Extended:
+    """An approximation seen from the task that its own task came from."""
+
+    def __init__(self, simple: Approximation, whole: Task, prior: tuple[Prior, ...]) -> None:
+        self.simple, self.whole, self.prior = simple, whole, prior
+        self.fates = simple.task.fates(whole)
+
+    def rows(self, positions: Positions) -> Floats:
+        task, whole = self.simple.task, self.whole
+        ours = {v.name: k for k, v in enumerate(whole.inputs)}
+        columns = [self._choices(positions[:, ours[v.name]], v) for v in task.inputs]
+        # a value that a restriction left out gets the mean over those it kept, so ask for each of them
+        total = np.zeros((len(positions), task.shape[1]))
+        counts = [column.shape[1] for column in columns]
+        for pick in product(*(range(n) for n in counts)):
+            asked = [column[:, k] for column, k in zip(columns, pick, strict=True)]
+            where = np.stack(asked, axis=1) if asked else np.zeros((len(positions), 0), dtype=np.int64)
+            total += self.simple.rows(where)
+        found = spread(total / np.prod(counts, initial=1.0), task.outputs, whole.outputs, self.fates, axis=1)
+        for operation in self.prior:
+            found = operation.apply(whole, found, positions)
+        return found
+
+    def _choices(self, positions: NDArray[np.int64], variable: Variable) -> Positions:
+        """Return the positions, in the simple task, that stand for each value (n, how many)."""
+        inside = self.fates[variable.name] or ()
+        known = {there: here for here, there in enumerate(inside)}
+        if all(int(p) in known for p in np.unique(positions)):
+            return np.array([[known[int(p)]] for p in positions], dtype=np.int64).reshape(-1, 1)
+        everyone = list(range(len(inside)))
+        return np.array([[known[int(p)]] * len(inside) if int(p) in known else everyone for p in positions])
+
+
+def _sklearn(module: str) -> Any:
+    try:
+        from importlib import import_module
+
+        return import_module(f"sklearn.{module}")
+    except ImportError as error:
+        raise TaskliftError('needs scikit-learn; type: pip install "tasklift[approx]"') from error
+
+
+def _all_positions(task: Task) -> Positions:
+    task.need_room(task.shape[0] * max(1, len(task.inputs)), "the list of all inputs")
+    sizes = [len(v) for v in task.inputs]
+    return np.indices(sizes, dtype=np.int64).reshape(len(sizes), -1).T if sizes else np.zeros((1, 0), np.int64)
+
+
+def _told(tree: Any, node: int, task: Task, known: Mapping[str, tuple[int, int]], depth: int = 0) -> list[str]:
+    """Return a tree below a node as lines; branches that say the same are told once."""
+    indent = "  " * depth
+    said = _says(tree, node)
+    if len(said) == 1:
+        output = task.output_values(said.pop())
+        return [f"{indent}{', '.join(f'{name} = {value!r}' for name, value in output.items())}"]
+    variable = task.inputs[int(tree.feature[node])]
+    low, high = known.get(variable.name, (0, len(variable)))
+    cut = int(np.floor(tree.threshold[node])) + 1
+    lines: list[str] = []
+    for child, (first, last) in (
+        (tree.children_left[node], (low, cut)),
+        (tree.children_right[node], (cut, high)),
+    ):
+        names = variable.labels or tuple(map(repr, variable.values))
+        shown = names[first] if last - first == 1 else f"one of {', '.join(names[first:last])}"
+        lines.append(f"{indent}if {variable.name} is {shown}:")
+        lines += _told(tree, int(child), task, {**known, variable.name: (first, last)}, depth + 1)
+    return lines
+
+
+def _says(tree: Any, node: int) -> set[int]:
+    """Return the best outputs at the leaves below a node."""
+    if tree.children_left[node] < 0:
+        return {int(np.argmax(tree.value[node].ravel()))}
+    return _says(tree, int(tree.children_left[node])) | _says(tree, int(tree.children_right[node]))

@@ -1,0 +1,303 @@
+"""Did it pay: a curriculum against learning its last task from scratch, over many seeds, with intervals.
+
+The unit of replication is the seed; arms are compared by paired differences. What the earlier stages cost is
+reported both ways: left out (*target only*), and included, against a direct learner that spends the same on
+the last task itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift import stats
+from tasklift.errors import TaskliftError
+from tasklift.learning.curriculum import Curriculum, CurriculumRun, Ledger
+from tasklift.learning.reinforcement import Outcomes, whole_number
+from tasklift.tasks.policy import Policy
+
+Performance = Literal["return", "steps", "success"]
+Told = Literal["helps", "hurts", "can't tell"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One comparison: the mean paired difference (curriculum − direct) over seeds, and what it says."""
+
+    name: str
+    curriculum: float
+    direct: float
+    difference: stats.Interval
+    told: Told
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the finding as JSON data."""
+        low, high = float(self.difference.low), float(self.difference.high)
+        return {
+            "name": self.name,
+            "curriculum": self.curriculum,
+            "direct": self.direct,
+            "difference": float(self.difference.estimate),
+            "low": low,
+            "high": high,
+            "confidence": self.difference.confidence,
+            "verdict": self.told,
+        }
+
+
+@dataclass(frozen=True)
+class Until:
+    """What was lost until a threshold of performance was reached: medians over seeds, earlier stages included.
+
+    A seed that never gets there counts as having lost more than it did (Kaplan-Meier); the median is infinite if
+    half of the seeds do not.
+    """
+
+    threshold: float
+    curriculum: float
+    direct: float
+    curriculum_reached: float  # share of seeds
+    direct_reached: float
+
+    def __str__(self) -> str:
+        arms = ((self.curriculum, self.curriculum_reached), (self.direct, self.direct_reached))
+        told = [f"{median:g} (reached by {share:.0%})" for median, share in arms]
+        return f"median losses until {self.threshold:g} is reached: {told[0]} against {told[1]}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a comparison came to.
+
+    ``findings`` in the order of reports; ``ledger`` has the mean losses by stage; ``policy`` is the one that
+    the first seed learned through the curriculum; ``guards`` counts the guard's verdicts by stage;
+    ``until`` is what was lost until a threshold, if one was asked for.
+    """
+
+    seeds: int
+    findings: tuple[Finding, ...]
+    ledger: dict[str, float]
+    guards: dict[str, dict[str, int]]
+    policy: Policy
+    until: Until | None = None
+
+    def finding(self, name: str) -> Finding:
+        """Return the finding of that name."""
+        for found in self.findings:
+            if found.name == name:
+                return found
+        raise TaskliftError(f"comparison: no finding {name!r}; there are {', '.join(f.name for f in self.findings)}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the comparison, without the policy, as JSON data."""
+        return {
+            "seeds": self.seeds,
+            "findings": [f.to_json() for f in self.findings],
+            "losses_by_stage": self.ledger,
+            "guards": self.guards,
+            "until": None if self.until is None else {n: _finite(v) for n, v in asdict(self.until).items()},
+        }
+
+    def __str__(self) -> str:
+        lines = [f"curriculum against direct learning, {self.seeds} seeds, 95 % bootstrap intervals"]
+        width = max(len(f.name) for f in self.findings)
+        for f in self.findings:
+            lines.append(
+                f"  {f.name:<{width}}  {f.curriculum:>10.2f} against {f.direct:>10.2f}   "
+                f"difference {f.difference}   transfer {f.told}"
+            )
+        lines.append("  losses by stage: " + ", ".join(f"{s} {n:.1f}" for s, n in self.ledger.items()))
+        if self.until is not None:
+            lines.append(f"  {self.until}")
+        for stage, counts in self.guards.items():
+            lines.append(f"  guard of {stage!r}: " + ", ".join(f"{v} in {n}" for v, n in counts.items()))
+        return "\n".join(lines)
+
+
+def compare(
+    curriculum: Curriculum,
+    *,
+    seeds: int = 100,
+    seed: int = 0,
+    performance: Performance | None = None,
+    first: int = 10,
+    last: int = 20,
+    threshold: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Run a curriculum and direct learning over seeds and say, with intervals, whether transfer paid.
+
+    Parameters
+    ----------
+    curriculum
+        Its last stage is the target.
+    seeds, seed
+        So many, counting up from ``seed``.
+    performance
+        What is judged beside losses; default: returns where the world gives them, else steps.
+    first, last
+        Trials over which the jumpstart and the late performance are averaged.
+    threshold
+        Of performance: also report what is lost until the mean of ``first`` trials is that good.
+    progress
+        Called after each seed with the number of seeds done, and of all.
+
+    Notes
+    -----
+    The direct learner has no cap and no guard. Losses on the target include the guard's control; late performance is
+    that of the learner whose policy counts in the end. Rehearsals' would-be losses are left out.
+    """
+    whole_number(seeds, "compare, seeds", at_least=2)
+    whole_number(first, "compare, first", at_least=1)
+    whole_number(last, "compare, last", at_least=1)
+    curriculum.check()
+    target = replace(curriculum.stages[-1], prior=(), trust=None, guard=None, max_losses=None)
+    runs: list[CurriculumRun] = []
+    plain: list[Outcomes] = []
+    longer: list[Outcomes] = []
+    for number in range(seed, seed + seeds):
+        run = curriculum.run(number)
+        runs.append(run)
+        spent = [e for e in run.ledger.entries if e.stage != target.name]
+        budget = _with_source(target, sum(e.trials for e in spent), sum(e.steps for e in spent))
+        direct = Curriculum([budget], block=curriculum.block).run(number).outcomes[target.name]
+        longer.append(direct)
+        plain.append(_head(direct, target.trials, target.steps))
+        if progress is not None:
+            progress(len(runs), seeds)
+    lifted = [run.outcomes[target.name] for run in runs]
+    if any(not len(outcomes) for outcomes in lifted):
+        raise TaskliftError("compare: a cap stopped the curriculum before its last stage began; raise the cap")
+    kind: Performance = performance or ("return" if hasattr(lifted[0], "returns") else "steps")
+    return Comparison(
+        seeds,
+        tuple(_findings(runs, lifted, plain, longer, target.name, kind, first, last)),
+        _mean_ledger([run.ledger for run in runs]),
+        _guard_counts(runs),
+        runs[0].policy,
+        None if threshold is None else _until(runs, lifted, plain, kind, first, threshold),
+    )
+
+
+def _until(
+    runs: list[CurriculumRun],
+    lifted: list[Outcomes],
+    plain: list[Outcomes],
+    kind: Performance,
+    window: int,
+    threshold: float,
+) -> Until:
+    better: stats.Direction = "less" if kind == "steps" else "greater"
+
+    def times(arm: list[Outcomes], before: list[int]) -> stats.Times:
+        each = [
+            stats.losses_until_threshold(
+                o.losses[None], _curve(o, kind)[None], threshold, window=min(window, len(o)), source=b, better=better
+            )
+            for o, b in zip(arm, before, strict=True)
+        ]
+        return stats.Times(np.concatenate([t.time for t in each]), np.concatenate([t.reached for t in each]))
+
+    ours = times(lifted, [run.ledger.total - int(o.losses.sum()) for run, o in zip(runs, lifted, strict=True)])
+    theirs = times(plain, [0] * len(plain))
+    medians = stats.median_time(ours), stats.median_time(theirs)
+    return Until(threshold, *medians, float(ours.reached.mean()), float(theirs.reached.mean()))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _with_source(target: Any, trials: int, steps: int) -> Any:
+    """Return the target stage with what the earlier stages spent added to its budget."""
+    if target.repeats is not None:
+        raise TaskliftError("compare: the last stage is a sweep; give it trials= or steps= to compare with")
+    more = target
+    if target.trials is not None:
+        more = replace(more, trials=target.trials + trials)
+    if target.steps is not None:
+        more = replace(more, steps=target.steps + steps)
+    return more
+
+
+def _head(outcomes: Outcomes, trials: int | None, steps: int | None) -> Outcomes:
+    """Return the part of a longer run that the target's own budget would have bought."""
+    n = len(outcomes) if trials is None else min(trials, len(outcomes))
+    if steps is not None:
+        begun = np.cumsum(outcomes.steps) - outcomes.steps < steps
+        n = min(n, int(begun.sum()))
+    columns: dict[str, Any] = {
+        name: value[:n] for name, value in vars(outcomes).items() if isinstance(value, np.ndarray)
+    }
+    return replace(outcomes, **columns)
+
+
+def _curve(outcomes: Outcomes, kind: Performance) -> NDArray[np.float64]:
+    found: Any = getattr(outcomes, "returns" if kind == "return" else kind, None)
+    if found is None:
+        raise TaskliftError("compare: this world has no returns; judge by performance='steps' or 'success'")
+    return np.asarray(found, dtype=np.float64)
+
+
+def _findings(
+    runs: list[CurriculumRun],
+    lifted: list[Outcomes],
+    plain: list[Outcomes],
+    longer: list[Outcomes],
+    target: str,
+    kind: Performance,
+    first: int,
+    last: int,
+) -> list[Finding]:
+    better: stats.Direction = "less" if kind == "steps" else "greater"
+
+    def curves(arm: list[Outcomes], part: slice) -> NDArray[np.float64]:
+        return np.array([_curve(outcomes, kind)[part].mean() for outcomes in arm])
+
+    def losses(arm: list[Outcomes]) -> NDArray[np.float64]:
+        return np.array([float(outcomes.losses.sum()) for outcomes in arm])
+
+    early, late = slice(None, first), slice(-last, None)
+    everything = np.array([float(run.ledger.total) for run in runs])
+    on_target = np.array([float(run.ledger.by_stage()[target]) for run in runs])
+    ended = [run.at_the_end(target) for run in runs]
+    name = {"return": "return", "steps": "steps", "success": "success"}[kind]
+    return [
+        _finding(f"jumpstart ({name}, first {first} trials)", curves(lifted, early), curves(plain, early), better),
+        _finding(f"late {name} (last {last} trials)", curves(ended, late), curves(plain, late), better),
+        _finding(f"late {name}, equal total budget", curves(ended, late), curves(longer, late), better),
+        _finding("losses, target only", on_target, losses(plain), "less"),
+        _finding("losses per 1,000 steps, target only", _rates(lifted), _rates(plain), "less"),
+        _finding("losses, all stages, equal total budget", everything, losses(longer), "less"),
+    ]
+
+
+def _rates(arm: list[Outcomes]) -> NDArray[np.float64]:
+    return np.array([1000.0 * outcomes.losses.sum() / max(1, outcomes.steps.sum()) for outcomes in arm])
+
+
+def _finding(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64], better: stats.Direction) -> Finding:
+    interval = stats.paired_difference(ours, theirs, method="percentile")
+    held = stats.verdict(interval, better)
+    same = bool((ours == theirs).all())
+    told: Told = "helps" if held == "holds" else "hurts" if held == "does not hold" and not same else "can't tell"
+    return Finding(name, float(ours.mean()), float(theirs.mean()), interval, told)
+
+
+def _mean_ledger(ledgers: list[Ledger]) -> dict[str, float]:
+    names = list(dict.fromkeys(name for ledger in ledgers for name in ledger.by_stage()))
+    return {name: float(np.mean([ledger.by_stage().get(name, 0) for ledger in ledgers])) for name in names}
+
+
+def _guard_counts(runs: list[CurriculumRun]) -> dict[str, dict[str, int]]:
+    counts: dict[str, dict[str, int]] = {}
+    for run in runs:
+        for stage, report in run.guards.items():
+            tally = counts.setdefault(stage, {})
+            tally[report.verdict] = tally.get(report.verdict, 0) + 1
+    return counts

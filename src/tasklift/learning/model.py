@@ -1,0 +1,219 @@
+"""Worlds whose every transition is known: run compiled, and solved exactly.
+
+Shapes: ``N`` states of the world, ``A`` outputs, ``K`` branches of a transition (unused ones have
+probability 0); ``S`` inputs of the task. Several states may look the same, so N and S may differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.errors import TaskliftError
+from tasklift.learning.steps import Step, stray_input
+from tasklift.tasks.policy import Policy
+from tasklift.tasks.task import Task
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An explicit Markov decision process; it is a :class:`~tasklift.learning.steps.Steps` world.
+
+    Parameters
+    ----------
+    task
+        The full task; its inputs are what is seen of the states.
+    rows
+        int64 (N,): the input of each state.
+    start_probability
+        float64 (N,): how probable each state is at the start.
+    probability, after, reward, ended, lost, success
+        (N, A, K): of each branch its probability, next state, reward, whether the trial ends, how much is
+        lost, and whether the trial then counts as a success.
+    limit
+        The most steps of a trial.
+    """
+
+    task: Task
+    rows: NDArray[np.int64]
+    start_probability: Floats
+    probability: Floats
+    after: NDArray[np.int64]
+    reward: Floats
+    ended: NDArray[np.bool_]
+    lost: NDArray[np.int64]
+    success: NDArray[np.bool_]
+    limit: int
+
+    def __post_init__(self) -> None:
+        n, outputs = len(self.rows), self.task.shape[1]
+        where = f"model of {self.task.name!r}"
+        shapes = {np.shape(a) for a in (self.probability, self.after, self.reward, self.ended, self.lost, self.success)}
+        if len(shapes) != 1 or self.probability.shape[:2] != (n, outputs) or self.start_probability.shape != (n,):
+            raise TaskliftError(f"{where}: expected arrays of shape ({n}, {outputs}, branches), found {sorted(shapes)}")
+        sums = np.append(self.probability.sum(axis=2).ravel(), self.start_probability.sum())
+        if (self.probability < 0).any() or not np.allclose(sums, 1, atol=1e-9):
+            raise TaskliftError(f"{where}: the probabilities of a transition, or of the start, do not sum to one")
+        if self.after.min() < 0 or self.after.max() >= n:
+            raise TaskliftError(f"{where}: a transition leads to a state that is not among the {n}")
+        if self.rows.min() < 0 or self.rows.max() >= self.task.shape[0]:
+            raise TaskliftError(f"{where}: a state has an input outside of the task's {self.task.shape[0]}")
+        object.__setattr__(self, "_state", {"now": -1, "rng": None})
+
+    # -- step by step --------------------------------------------------------------------------------------
+
+    @cached_property
+    def _arrays(self) -> Any:
+        from tasklift.learning.model_kernel import Arrays
+
+        def running(chances: Floats) -> Floats:
+            upto = np.cumsum(chances, axis=-1)
+            # past the last branch that can happen, nothing must be left over through rounding
+            upto[upto >= upto[..., -1:]] = 2.0
+            return upto
+
+        return Arrays(
+            running(self.start_probability),
+            running(self.probability),
+            np.ascontiguousarray(self.after, dtype=np.int64),
+            np.ascontiguousarray(self.reward, dtype=np.float64),
+            np.ascontiguousarray(self.ended, dtype=np.bool_),
+            np.ascontiguousarray(self.lost, dtype=np.int64),
+            np.ascontiguousarray(self.success, dtype=np.bool_),
+            self.limit,
+        )
+
+    def start(self, rng: np.random.Generator) -> int:
+        """Begin a trial and return the first input."""
+        state = int(np.argmax(rng.random() < self._arrays.start_upto))
+        self._state.update(now=state, rng=rng)  # type: ignore[attr-defined]
+        return int(self.rows[state])
+
+    def step(self, output: int) -> Step:
+        """Do one step with this output."""
+        state, rng = self._state["now"], self._state["rng"]  # type: ignore[attr-defined]
+        k = int(np.argmax(rng.random() < self._arrays.upto[state, output]))
+        branch = (state, output, k)
+        self._state["now"] = after = int(self.after[branch])  # type: ignore[attr-defined]
+        return Step(
+            int(self.rows[after]),
+            float(self.reward[branch]),
+            bool(self.ended[branch]),
+            int(self.lost[branch]),
+            bool(self.success[branch]),
+        )
+
+    def compiled_trial(
+        self, task: Task, values: Floats, visits: Floats, settings: tuple[int, float, float, float, float]
+    ) -> Callable[[np.random.Generator, float, bool], tuple[int, bool, int, float]]:
+        """Return a function that runs one compiled trial of value learning on ``values``, float64 (S, A)."""
+        from tasklift.learning import model_kernel
+
+        whole = task.ancestor(self.task)
+        rows = task.input_rows(whole)[self.rows]
+        columns = task.output_columns(whole)
+
+        def trial(rng: np.random.Generator, epsilon: float, learn: bool) -> tuple[int, bool, int, float]:
+            *record, stray = model_kernel.trial(
+                self._arrays, rows, columns, values, visits, settings, rng, epsilon, learn
+            )
+            if stray >= 0:
+                raise stray_input(self.task.input_values(int(self.rows[stray])), task)
+            steps, success, losses, total = record
+            return steps, success, losses, total
+
+        return trial
+
+    # -- exact answers -------------------------------------------------------------------------------------
+
+    def evaluate(self, chances: Floats, *, reward: Floats | None = None, steps: int | None = None) -> float:
+        """Return the exact expected undiscounted sum of rewards of a policy.
+
+        Parameters
+        ----------
+        chances
+            float64 (S, A): how probable each output is at each input.
+        reward
+            (N, A, K), in place of the world's; ``model.success`` gives the probability of success.
+        steps
+            Over so many steps; default: without a limit (the trial must end by itself).
+        """
+        weights = np.asarray(chances, dtype=np.float64)[self.rows]
+        gain, move = self._dynamics(reward)
+        gain_under = (weights * gain).sum(axis=1)
+        move_under = np.einsum("na,nam->nm", weights, move)
+        if steps is None:
+            # only states that can be met matter; others may never end, and have no value
+            met = self._met(move_under)
+            values = np.zeros(len(self.rows))
+            within = np.eye(int(met.sum())) - move_under[np.ix_(met, met)]
+            values[met] = np.linalg.solve(within, gain_under[met])
+        else:
+            values = np.zeros(len(self.rows))
+            for _ in range(steps):
+                values = gain_under + move_under @ values
+        return float(self.start_probability @ values)
+
+    def optimum(self, *, reward: Floats | None = None, steps: int | None = None, sweeps: int = 100_000) -> float:
+        """Return the exact best expected sum of rewards: over ``steps`` steps, or without a limit."""
+        return float(self.start_probability @ self.action_values(reward=reward, steps=steps, sweeps=sweeps).max(axis=1))
+
+    def action_values(
+        self,
+        *,
+        reward: Floats | None = None,
+        steps: int | None = None,
+        discount: float = 1.0,
+        epsilon: float = 0.0,
+        sweeps: int = 100_000,
+    ) -> Floats:
+        """Return the value of each state and output, float64 (N, A), by value iteration (to 1e-12).
+
+        With ``epsilon``, of the best policy among those that choose evenly with that probability (ε-soft).
+        """
+        gain, move = self._dynamics(reward)
+        values = np.zeros(len(self.rows))
+        table = gain
+        for _ in range(sweeps if steps is None else steps):
+            table = gain + discount * move @ values
+            new = (1 - epsilon) * table.max(axis=1) + epsilon * table.mean(axis=1)
+            if steps is None and np.abs(new - values).max() < 1e-12:
+                return table
+            values = new
+        if steps is None:
+            raise TaskliftError(f"model of {self.task.name!r}: values do not settle; give steps= or a discount below 1")
+        return table
+
+    def best_policy(self, **options: Any) -> Policy:
+        """Return the best policy by :meth:`action_values`; inputs must tell the model's states apart."""
+        if len(set(self.rows.tolist())) < len(self.rows):
+            raise TaskliftError(f"model of {self.task.name!r}: states look the same, so the best policy has no table")
+        values = np.zeros(self.task.shape)
+        values[self.rows] = self.action_values(**options)
+        return Policy(self.task, values, {"solved": "value iteration"}, "value")
+
+    def _dynamics(self, reward: Floats | None) -> tuple[Floats, Floats]:
+        """Return the expected reward (N, A), and the probabilities of going on in each state (N, A, N)."""
+        gain = (self.probability * (self.reward if reward is None else reward)).sum(axis=2)
+        n, outputs, branches = self.probability.shape
+        move = np.zeros((n, outputs, n))
+        going = np.where(self.ended, 0.0, self.probability)
+        state, output = np.indices((n, outputs))
+        for k in range(branches):
+            np.add.at(move, (state, output, self.after[:, :, k]), going[:, :, k])
+        return gain, move
+
+    def _met(self, move: Floats) -> NDArray[np.bool_]:
+        met = self.start_probability > 0
+        while True:
+            wider = met | ((met.astype(float) @ move) > 0)
+            if (wider == met).all():
+                return met
+            met = wider

@@ -1,0 +1,1 @@
+"""From the free floor of a plan to rooms, corridors and doors."""

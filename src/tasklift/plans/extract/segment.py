@@ -1,0 +1,485 @@
+"""From the free space of a building to its rooms, corridors and doors: dividing it at the narrow places.
+
+Regions are what lies between narrow places, openings are those places; some openings are doors, some regions
+are rooms, the others corridors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.plans.extract.mouths import cut_mouths
+from tasklift.plans.extract.space import EIGHT, Settings, Space
+
+BEYOND_M = 1.0
+NEAR_GAP_M = 0.5
+CORRIDOR_ELONGATION = 3.0  # what is longer is no bay of a room
+
+
+@dataclass(eq=False)
+class Opening:
+    """A narrow place between two regions: where it is (cells), how wide (m), whether it is a door.
+
+    Both regions may be the same: a door in a corridor that leads around to its other side.
+    """
+
+    pixel: tuple[int, int]
+    regions: tuple[int, int]
+    width_m: float
+    is_door: bool
+
+
+def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening], Regions, NDArray[np.bool_]]:
+    """Divide the free space at its narrow places.
+
+    Every pixel climbs to the top of the ``R`` around it; tops whose pass is hardly lower than they are belong
+    together. What stays apart are the regions.
+
+    Returns
+    -------
+    tuple
+        Regions ``int32 (H, W)``, from 1 on, 0 where not free; the openings between them; what is known of
+        each region; and which regions are rooms.
+    """
+    half = space.half_width_m
+    top = _climb(half)
+    basin, peak = _number_tops(top, half)
+    a, b, height, where = _passes(basin, half)
+    joined = height >= 0.95 * np.maximum(peak[a], peak[b])
+    narrow = 2 * height < settings.door_width_m
+    narrow &= height < settings.door_ratio * np.maximum(peak[a], peak[b])
+    perhaps = where[narrow]
+    group = _join(len(peak), a[joined], b[joined])
+    basin = group[basin]
+    merged_peak = np.zeros(group.max() + 1, np.float32)
+    np.maximum.at(merged_peak, group, peak)
+    a, b, height, where = _passes(basin, half)
+    root = _merge(space, settings, basin, merged_peak, (a, b, height, where))
+    region, openings, measure = _tidy(space, settings, root[basin])
+    is_room = measure.rooms(settings)
+    for opening in openings:
+        # a piece of corridor between two doors is no room, however short: it goes on beyond the door
+        if opening.is_door and _goes_on(space, opening):
+            for r in opening.regions:
+                narrow = measure.peak_m[r] < settings.hall_half_width_m and measure.exits[r] >= 2
+                is_room[r] = is_room[r] and not narrow
+    if not openings:
+        is_room[:] = False  # one space alone: its inner structure is all there is
+    ways_out = _ways_out(openings, is_room, measure)
+    if ways_out:
+        region, doors = cut_mouths(space, region, ways_out, is_room)
+        openings = _openings(space, settings, region)
+        for opening in openings:
+            near = np.hypot(*(doors - opening.pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M
+            opening.is_door |= near and opening.width_m < settings.door_width_m
+        measure = measure_regions(space, region, openings)
+        is_room = np.pad(is_room, (0, len(measure.exits) - len(is_room)))
+    walls = _Walls(space, settings)
+    openings += _inner_doors(space, settings, region, perhaps, openings, walls)
+    for opening in openings:
+        if opening.is_door and not is_room[list(opening.regions)].any():
+            # corridors vary in width: only a marked narrowing between walls is a door in one
+            opening.is_door = walls.beside(opening) and _is_door(settings, space, region, opening, True)
+    openings = [o for o in openings if o.is_door or o.regions[0] != o.regions[1]]
+    return region, openings, measure, is_room
+
+
+def _climb(half: NDArray[np.float32]) -> NDArray[np.int64]:
+    """For every pixel the flat index of the local maximum of ``half`` that steepest ascent leads to."""
+    height, width = half.shape
+    index = np.arange(half.size, dtype=np.int64).reshape(half.shape)
+    best = half.copy()
+    target = index.copy()
+    for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)):
+        rows = slice(max(0, -dr), height - max(0, dr)), slice(max(0, dr), height - max(0, -dr))
+        columns = slice(max(0, -dc), width - max(0, dc)), slice(max(0, dc), width - max(0, -dc))
+        here, there = (rows[0], columns[0]), (rows[1], columns[1])
+        higher = half[there] > best[here]
+        best[here][higher] = half[there][higher]
+        target[here][higher] = index[there][higher]
+    flat = target.ravel()
+    while True:
+        further = flat[flat]
+        if np.array_equal(further, flat):
+            return flat.reshape(half.shape)
+        flat = further
+
+
+def _number_tops(top: NDArray[np.int64], half: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Number the tops from 1; 0 is what is not free. Returns the numbers and the height of each top."""
+    tops = np.flatnonzero((top.ravel() == np.arange(top.size)) & (half.ravel() > 0))
+    number = np.zeros(top.size, np.int32)
+    number[tops] = np.arange(1, len(tops) + 1)
+    basin = np.where(half > 0, number[top], 0)
+    return basin.astype(np.int32), np.concatenate([[0], half.ravel()[tops]]).astype(np.float32)
+
+
+def _passes(
+    label: NDArray[np.int32], half: NDArray[np.float32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]]:
+    """The highest pass between each two neighbouring labels: ``(a, b, height, flat index)``, a < b."""
+    width = label.shape[1]
+    found = []
+    flat, r = label.ravel(), half.ravel()
+    for step in (1, width):
+        i = np.flatnonzero((flat[:-step] != flat[step:]) & (flat[:-step] > 0) & (flat[step:] > 0))
+        found.append((i, i + step))
+    i, j = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    low, high = np.minimum(flat[i], flat[j]).astype(np.int64), np.maximum(flat[i], flat[j]).astype(np.int64)
+    height = np.minimum(r[i], r[j])
+    order = np.lexsort((-height, high, low))
+    low, high, height, i = low[order], high[order], height[order], i[order]
+    first = np.ones(len(low), bool)
+    first[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
+    return low[first], high[first], height[first], i[first]
+
+
+def _join(n: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Number of the connected group of each of ``n`` labels; label 0 keeps 0."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(a), bool), (a, b)), shape=(n, n))
+    group = connected_components(graph, directed=False)[1].astype(np.int32)
+    _, group = np.unique(np.where(np.arange(n) == 0, -1, group), return_inverse=True)
+    return group.astype(np.int32)
+
+
+def _merge(
+    space: Space,
+    settings: Settings,
+    basin: NDArray[np.int32],
+    peak: NDArray[np.float32],
+    passes: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]],
+) -> NDArray[np.int32]:
+    """Join neighbouring basins over their passes, widest first, unless the pass is a narrow place.
+
+    Returns the region of each basin.
+    """
+    half = space.half_width_m
+    root = np.arange(len(peak), dtype=np.int32)
+    peak = peak.copy()
+    reach = int(np.ceil(settings.near_m / space.cell_m))
+    width = half.shape[1]
+    for k in np.argsort(-passes[2], kind="stable").tolist():
+        p, q = root[passes[0][k]], root[passes[1][k]]
+        height = passes[2][k]
+        if p == q:
+            continue
+        if settings.door_rule == "absolute":
+            apart = 2 * height < settings.door_width_m and height < 0.95 * min(peak[p], peak[q])
+        else:
+            near = _near(half, root, basin, divmod(int(passes[3][k]), width), (p, q), reach)
+            apart = height < settings.door_ratio * near
+            apart = apart or height < settings.mouth_ratio * max(peak[p], peak[q])
+        if not apart:
+            root[root == q] = p
+            peak[p] = max(peak[p], peak[q])
+    return np.unique(root, return_inverse=True)[1].astype(np.int32)
+
+
+def _near(
+    half: NDArray[np.float32],
+    root: NDArray[np.int32],
+    basin: NDArray[np.int32],
+    pixel: tuple[int, int],
+    sides: tuple[int, int],
+    reach: int,
+) -> float:
+    """The smaller of the two greatest values of ``half`` on either side of a pass, within ``reach`` of it."""
+    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in pixel)
+    owner = root[basin[box]]
+    return min(float(half[box][owner == side].max(initial=0)) for side in sides)
+
+
+def _is_door(
+    settings: Settings,
+    space: Space,
+    region: NDArray[np.int32],
+    opening: Opening,
+    in_corridor: bool,
+) -> bool:
+    """Whether a narrow place is a door: the space on both sides is wider, soon enough."""
+    ratio, most = settings.frame_ratio, settings.frame_m
+    if in_corridor:
+        ratio = settings.corridor_door_ratio
+    elif opening.width_m <= settings.leaf_m:
+        most = settings.deep_frame_m
+    reach = int(np.ceil(settings.deep_frame_m / space.cell_m))
+    box = tuple(slice(max(0, v - reach), v + reach + 1) for v in opening.pixel)
+    side = _sides(space, region[box], opening, (box[0].start, box[1].start))
+    if side is None or opening.width_m >= settings.door_width_m:
+        return False
+    roomy = space.half_width_m[box] >= opening.width_m / 2 / ratio + space.cell_m / 2
+    depth = 0.0
+    for number in (1, 2):
+        rows, columns = np.nonzero(roomy & (side == number))
+        if not len(rows):
+            return False
+        away = np.hypot(rows + box[0].start - opening.pixel[0], columns + box[1].start - opening.pixel[1])
+        depth += float(away.min()) * space.cell_m
+    return depth <= most
+
+
+def _sides(
+    space: Space, region: NDArray[np.int32], opening: Opening, corner: tuple[int, int]
+) -> NDArray[np.int8] | None:
+    """1 and 2 on the two sides of an opening: its regions, or the two sides of the line across it.
+
+    ``region`` is the part of the regions that begins at ``corner``.
+    """
+    a, b = opening.regions
+    if a != b:
+        return (region == a).astype(np.int8) + 2 * (region == b).astype(np.int8)
+    row, column = opening.pixel
+    across = jambs(space.free, opening.pixel, float(space.half_width_m[row, column]) / space.cell_m)
+    if across is None:
+        return None
+    ahead = np.array([across[0][1] - across[1][1], across[1][0] - across[0][0]], float)
+    rows, columns = np.indices(region.shape)
+    rows, columns = rows + corner[0] - row, columns + corner[1] - column
+    # straight ahead, give or take 45 degrees: what lies aside belongs to neither side
+    share = (rows * ahead[0] + columns * ahead[1]) / np.hypot(*ahead)
+    beyond = np.abs(share) >= 0.7 * np.hypot(rows, columns)
+    return ((region == a) * beyond * np.where(share > 0, 1, np.where(share < 0, 2, 0))).astype(np.int8)
+
+
+def _goes_on(space: Space, opening: Opening) -> bool:
+    """Whether a door stands across a corridor: straight ahead it is as wide on one side as on the other."""
+    half = float(space.half_width_m[opening.pixel])
+    ends = jambs(space.free, opening.pixel, half / space.cell_m)
+    if ends is None:
+        return False
+    across = np.subtract(ends[1], ends[0]) / np.hypot(*np.subtract(ends[1], ends[0]))
+    ahead = np.array([-across[1], across[0]]) * BEYOND_M / space.cell_m
+    widths = []
+    for sign in (-1, 1):
+        row, column = np.rint(opening.pixel + sign * ahead).astype(int).tolist()
+        if not (0 <= row < space.free.shape[0] and 0 <= column < space.free.shape[1]):
+            return False
+        widths.append(float(space.half_width_m[row, column]))
+    return min(widths) > 1.2 * half and max(widths) < 1.15 * min(widths)
+
+
+def _tidy(
+    space: Space, settings: Settings, region: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], list[Opening], Regions]:
+    """Join what is no space of its own to its neighbour: slivers, bays, and the two ways around a table.
+
+    Returns the regions, the openings between them, and what is known of each.
+    """
+    while True:
+        openings = _openings(space, settings, region)
+        measure = measure_regions(space, region, openings)
+        root = np.arange(len(measure.area_m2), dtype=np.int32)
+        mouths: dict[tuple[int, int], int] = {}
+        exits = np.zeros(len(root), np.int64)
+        for opening in openings:
+            mouths[opening.regions] = mouths.get(opening.regions, 0) + (not opening.is_door)
+            exits[list(opening.regions)] += 1
+        touched: set[int] = set()
+        for opening in sorted(openings, key=lambda o: -o.width_m):
+            a, b = sorted(opening.regions, key=lambda r: (measure.area_m2[r], r))  # a is the smaller one
+            if opening.is_door and measure.area_m2[a] >= settings.smallest_room_m2 / 2:
+                continue
+            overflows = measure.elongation[a] < 0.8  # its own largest circle reaches into the neighbours
+            tiny = measure.area_m2[a] < settings.smallest_room_m2 / 2
+            bay = (
+                exits[a] == 1
+                and measure.area_m2[a] < settings.bay_share * measure.area_m2[b]
+                and measure.elongation[a] < 1.5
+                and opening.width_m > 1.4 * measure.peak_m[a]
+            )
+            around = mouths[opening.regions] > 1
+            if (overflows or tiny or bay or around) and not touched & {a, b}:
+                root[a] = b
+                touched |= {a, b}
+        if not touched:
+            return region, openings, measure
+        region = np.unique(root, return_inverse=True)[1].astype(np.int32)[region]
+
+
+@dataclass(eq=False)
+class Regions:
+    """What is known of each region; row 0 is what is not free. All arrays ``(regions + 1,)``.
+
+    ``elongation`` is the area over that of the square around the largest circle in it: about how many times it
+    is longer than wide. ``openness`` is the share of its border that is open without being a door, were it a
+    square; ``exits`` the number of its openings; ``mouth`` the widest that is no door, over the largest width.
+    """
+
+    area_m2: NDArray[np.float64]
+    peak_m: NDArray[np.float64]
+    elongation: NDArray[np.float64]
+    openness: NDArray[np.float64]
+    exits: NDArray[np.int64]
+    mouth: NDArray[np.float64]
+
+    def rooms(self, settings: Settings) -> NDArray[np.bool_]:
+        """Which regions are rooms; the others are corridors."""
+        most = settings.room_elongation
+        through = np.where(self.openness > 0, settings.mouth_elongation, settings.through_elongation)
+        longest = np.where(self.exits <= 1, most, np.minimum(most, through * self.peak_m))
+        narrow = (self.exits >= 2) & (self.peak_m < settings.hall_half_width_m)
+        return (
+            (self.area_m2 >= settings.smallest_room_m2)
+            & (self.peak_m >= settings.room_half_width_m)
+            & (self.openness <= settings.room_openness)
+            & (self.elongation <= longest)
+            & ~(narrow & (self.mouth > settings.mouth_share))
+        )
+
+
+def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Opening]) -> Regions:
+    """Area, half width, elongation, openness and number of exits of every region."""
+    n = int(region.max()) + 1
+    area: NDArray[Any] = np.bincount(region.ravel(), minlength=n) * space.cell_m**2
+    highest = np.zeros(n, np.float32)  # of the same type as the half width: otherwise this is twenty times slower
+    np.maximum.at(highest, region.ravel(), space.half_width_m.ravel())
+    peak = highest.astype(float)
+    area[0], peak[0] = 0, 1
+    open_m, widest, exits = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
+    for opening in openings:
+        for r in opening.regions:
+            exits[r] += 1
+            if not opening.is_door:
+                open_m[r] += opening.width_m
+                widest[r] = max(widest[r], opening.width_m)
+    openness = open_m / np.maximum(4 * np.sqrt(area), 1e-9)
+    across = np.maximum(2 * peak, space.cell_m)
+    return Regions(area, peak, area / across**2, openness, exits, widest / across)
+
+
+def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> list[Opening]:
+    """One opening for every connected stretch of border between two regions."""
+    from scipy import ndimage
+
+    width = region.shape[1]
+    n = int(region.max()) + 1
+    flat, half = region.ravel(), space.half_width_m.ravel()
+    sides = []
+    for step in (1, width):
+        i = np.flatnonzero((flat[:-step] != flat[step:]) & (flat[:-step] > 0) & (flat[step:] > 0))
+        sides.append(np.stack([flat[i], flat[i + step], i, i + step]))
+    a, b, here, there = np.concatenate(sides, axis=1).astype(np.int64)
+    key = np.minimum(a, b) * n + np.maximum(a, b)
+    order = np.argsort(key, kind="stable")
+    if not len(order):
+        return []
+    pairs, first = np.unique(key[order], return_index=True)
+    border = {
+        (int(k // n), int(k % n)): np.concatenate([here[rows], there[rows]])
+        for k, rows in zip(pairs, np.split(order, first[1:]), strict=True)
+    }
+    found = []
+    for pair, pixels in sorted(border.items()):
+        rows, columns = np.divmod(np.unique(pixels), width)
+        patch = np.zeros((np.ptp(rows) + 1, np.ptp(columns) + 1), bool)
+        patch[rows - rows.min(), columns - columns.min()] = True
+        stretch = ndimage.label(patch, structure=EIGHT)[0][rows - rows.min(), columns - columns.min()]
+        for s in range(1, stretch.max() + 1):
+            r, c = rows[stretch == s], columns[stretch == s]
+            best = int(np.argmax(half[r * width + c]))
+            pixel = int(r[best]), int(c[best])
+            # half a cell less on either side: the wall begins at the edge of its first cell
+            opening = 2 * float(half[r[best] * width + c[best]]) - space.cell_m
+            found.append(Opening(pixel, pair, opening, False))
+            found[-1].is_door = _is_door(settings, space, region, found[-1], False)
+    return found
+
+
+def _ways_out(
+    openings: list[Opening], is_room: NDArray[np.bool_], measure: Regions
+) -> dict[int, list[tuple[int, int]]]:
+    """For each room the cells where it opens into a corridor without a door."""
+    found: dict[int, list[tuple[int, int]]] = {}
+    for opening in openings:
+        for number, other in (opening.regions, opening.regions[::-1]):
+            is_corridor = measure.exits[other] >= 2 or measure.elongation[other] >= CORRIDOR_ELONGATION
+            if is_room[number] and not opening.is_door and is_corridor:
+                found.setdefault(number, []).append(opening.pixel)
+    return found
+
+
+def _inner_doors(
+    space: Space,
+    settings: Settings,
+    region: NDArray[np.int32],
+    passes: NDArray[np.int64],
+    others: list[Opening],
+    walls: _Walls,
+) -> list[Opening]:
+    """Doors with the same region on both sides: narrow places between two walls, not beside furniture.
+
+    Only the narrowest of several close to each other, and none close to the ``others``.
+    """
+    taken = np.full((len(others) + len(passes), 2), np.inf)
+    taken[: len(others)] = np.array([opening.pixel for opening in others]).reshape(-1, 2)
+    found: list[Opening] = []
+    half = space.half_width_m.ravel()[passes].astype(float)
+    for k in np.argsort(half, kind="stable").tolist():
+        row, column = (int(v) for v in divmod(int(passes[k]), region.shape[1]))
+        number = int(region[row, column])
+        opening = Opening((row, column), (number, number), 2 * half[k] - space.cell_m, True)
+        if not settings.narrowest_m <= opening.width_m <= settings.leaf_m:
+            continue
+        away = np.hypot(taken[:, 0] - row, taken[:, 1] - column)
+        if away.min() * space.cell_m < settings.frame_m:
+            continue
+        if walls.beside(opening) and _is_door(settings, space, region, opening, True):
+            taken[len(others) + len(found)] = opening.pixel
+            found.append(opening)
+    return found
+
+
+class _Walls:
+    """What is not free, told apart by size: walls are large, furniture and pillars are not."""
+
+    def __init__(self, space: Space, settings: Settings):
+        from scipy import ndimage
+
+        self.space = space
+        self.label, n = ndimage.label(~space.free, structure=EIGHT)
+        self.is_wall = np.zeros(n + 1, bool)
+        for i, (rows, columns) in enumerate(ndimage.find_objects(self.label), start=1):
+            extent = max(rows.stop - rows.start, columns.stop - columns.start) * space.cell_m
+            self.is_wall[i] = extent >= settings.wall_m
+
+    def beside(self, opening: Opening) -> bool:
+        """Whether an opening lies between two walls."""
+        half = float(self.space.half_width_m[opening.pixel]) / self.space.cell_m
+        ends = jambs(self.space.free, opening.pixel, half)
+        return ends is not None and all(self.is_wall[self.label[end]] for end in ends)
+
+
+def jambs(
+    free: NDArray[np.bool_], pixel: tuple[int, int], half: float
+) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    """The two wall cells between which a narrow place lies: the ends of the shortest line across it.
+
+    ``half`` is the distance of the nearest wall (cells); ``None`` if no line is shorter than 1.5 times what
+    that asks for.
+    """
+    angle = np.arange(36) * (np.pi / 36)
+    away = np.arange(0.5, 3 * half + 2, 0.5)
+    ends = []
+    for sign in (1, -1):
+        rows = np.rint(pixel[0] + sign * np.sin(angle)[:, None] * away).astype(np.int64)
+        columns = np.rint(pixel[1] + sign * np.cos(angle)[:, None] * away).astype(np.int64)
+        inside = (rows >= 0) & (columns >= 0) & (rows < free.shape[0]) & (columns < free.shape[1])
+        wall = ~free[np.where(inside, rows, 0), np.where(inside, columns, 0)] & inside
+        first = np.argmax(wall, axis=1)
+        hit = wall[np.arange(len(angle)), first]
+        ends.append((np.where(hit, away[first], np.inf), rows, columns, first))
+    chord = ends[0][0] + ends[1][0]
+    best = int(np.argmin(chord))
+    if chord[best] > 3 * half + 2:
+        return None
+    (r1, c1), (r2, c2) = (
+        (int(rows[best, first[best]]), int(columns[best, first[best]])) for _, rows, columns, first in ends
+    )
+    return (r1, c1), (r2, c2)

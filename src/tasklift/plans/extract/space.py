@@ -1,0 +1,257 @@
+"""The free space of a building: a plan's pixels without noise, scanner beams, furniture and the outdoors.
+
+Distances are in metres, pixels are square cells of ``cell_m``. ``half_width_m`` is the distance of a free
+cell to the nearest wall: half the width of the space there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.errors import TaskliftError
+from tasklift.plans.extract.outline import Outline
+from tasklift.plans.read.ros import Plan
+
+EIGHT = np.ones((3, 3), bool)  # neighbours across corners count
+STRAIGHT_M = 0.1  # walls are straight within this
+ROUNDING = 1e-3  # 0.3 m are three cells of 0.1 m, whatever 0.3 / 0.1 is in binary
+DOOR_RULES = ("relative", "absolute")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the extraction goes by; one setting serves all maps.
+
+    Attributes
+    ----------
+    cell_m
+        Finer pictures are made coarser, up to this size of a pixel.
+    opening_m
+        Passages narrower than twice this are closed: beams of a laser scanner are no corridors.
+    speckle_m, furniture_m
+        Islands in free space whose extent is smaller are scanner noise, and furniture; they are counted as
+        obstacles, and not gone around.
+    door_rule
+        "relative": by the next three; "absolute": every narrow place below ``door_width_m`` divides.
+    door_ratio, near_m
+        A narrow place divides two spaces if its width is below this part of theirs, within this distance.
+    mouth_ratio
+        It also divides them if its width is below this part of the wider one's largest: a corridor that opens
+        into a hall without a door frame.
+    smallest_room_m2, room_half_width_m, room_elongation
+        A room has at least this area, is at some place at least twice this wide, and, with one way in, is at
+        most so many times longer than wide.
+    room_openness
+        At most this part of a room's border is open without being a door, were the room a square.
+    through_elongation, mouth_elongation
+        With several ways in, all doors or not, a room is at most this many times its half width (m) times
+        longer than wide: narrow and long is a corridor.
+    hall_half_width_m, mouth_share
+        Below this half width, and with several ways in, what opens by more than this part of its width is a
+        piece of corridor.
+    bay_share
+        A dead end wide open to a space is part of it if its area is below this part.
+    door_width_m, frame_ratio, frame_m, leaf_m, deep_frame_m
+        Of the places that divide, those up to this width are doors whose width is below this part of the
+        space on both sides, at most this far from one side to the other; up to ``leaf_m`` wide they may be
+        this deep.
+    corridor_door_ratio, wall_m, narrowest_m
+        Between two corridors a door is narrower than this part of both, and stands between walls of at least
+        this extent, not pillars; where a corridor leads around to its other side it is at least so wide.
+    prune_m
+        A branch of a corridor that reaches less than this beyond the wall is a niche, no branch.
+    merge_m, merge_share
+        Junctions closer to each other are one, and those closer than this part of the half width.
+    bend_degrees
+        Corridors that turn by more have a bend there.
+    """
+
+    cell_m: float = 0.05
+    opening_m: float = 0.25
+    speckle_m: float = 0.8
+    furniture_m: float = 2.0
+    door_rule: str = "relative"
+    door_ratio: float = 0.75
+    mouth_ratio: float = 0.6
+    near_m: float = 1.0
+    door_width_m: float = 2.2
+    smallest_room_m2: float = 4.0
+    room_half_width_m: float = 0.7
+    room_elongation: float = 4.0
+    room_openness: float = 0.22
+    bay_share: float = 0.25
+    prune_m: float = 0.5
+    merge_m: float = 1.0
+    merge_share: float = 0.6
+    wall_m: float = 3.0
+    narrowest_m: float = 0.8
+    frame_ratio: float = 0.76
+    corridor_door_ratio: float = 0.58
+    frame_m: float = 1.75
+    leaf_m: float = 1.1
+    deep_frame_m: float = 3.0
+    through_elongation: float = 1.7
+    mouth_elongation: float = 1.4
+    mouth_share: float = 0.52
+    hall_half_width_m: float = 1.85
+    bend_degrees: float = 25.0
+
+
+@dataclass(eq=False)
+class Space:
+    """The free space of one building. All arrays ``(H, W)``; row, column + ``corner`` are the plan's cells."""
+
+    free: NDArray[np.bool_]
+    half_width_m: NDArray[np.float32]
+    filled: NDArray[np.bool_]
+    cell_m: float
+    factor: int
+    corner: tuple[int, int]
+    doubts: list[str] = field(default_factory=list)
+
+    @cached_property
+    def outline(self) -> Outline:
+        """The straight walls of the space."""
+        return Outline(self.free, STRAIGHT_M / self.cell_m)
+
+    def to_plan(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rows and columns of the plan, in its pixels, of points ``(n, 2)`` given in cells."""
+        return (np.asarray(points, float) + 0.5 + self.corner) * self.factor
+
+    def to_cells(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Cells of points ``(n, 2)`` given in the plan's pixels; undoes :meth:`to_plan`."""
+        return np.asarray(points, float) / self.factor - self.corner - 0.5
+
+
+def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = None) -> Space:
+    """Return the free space of the building in ``plan``, without noise, beams, furniture, and the outdoors.
+
+    ``seeds`` are points in it, rows and columns ``(n, 2)`` of the plan's pixels.
+
+    Raises
+    ------
+    TaskliftError
+        If the plan holds no free space, or none of the seeds is on any.
+    """
+
+    doubts: list[str] = []
+    factor = max(1, int(settings.cell_m / plan.resolution_m + 1e-6))
+    cell = plan.resolution_m * factor
+    free = _coarser(plan.free, factor)
+    if not free.any():
+        raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
+    free = np.pad(free, 1)
+    filled = fill_islands(free, settings.speckle_m / cell)
+    free = free | filled
+    radius = max(0.5, settings.opening_m / cell)
+    core = to_wall(free) >= radius - ROUNDING
+    if not core.any():
+        raise TaskliftError(
+            f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right? "
+            "(--narrowest lets narrower passages through)"
+        )
+    inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
+    chosen = _choose(plan.name, _pieces(core, radius), cell, inside, doubts)
+    rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
+    box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
+    chosen, filled = chosen[box], filled[box]
+    furniture = fill_islands(chosen, settings.furniture_m / cell)
+    filled = (filled | furniture) & (chosen | furniture)
+    chosen = chosen | furniture
+    half = to_wall(chosen) * np.float32(cell)
+    corner = int(rows[0]) - 2, int(columns[0]) - 2
+    return Space(chosen, half, filled, cell, factor, corner, doubts)
+
+
+def to_wall(free: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The distance (cells) of each free cell to the nearest one that is not."""
+    return _nearest_wall(free)[0]
+
+
+def _nearest_wall(free: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """How far (cells) the nearest cell is that is not free, and its row and column ``(2, H, W)``."""
+    from scipy import ndimage
+
+    nearest = ndimage.distance_transform_edt(free, return_distances=False, return_indices=True)
+    # scipy's own distances take twice the time and the memory; whole numbers up to 4,096 squared stay whole in these
+    square = np.zeros(free.shape, np.float32)
+    for axis, size in enumerate(free.shape):
+        cells = np.arange(size, dtype=np.int32).reshape((-1, 1) if axis == 0 else (1, -1))
+        square += np.square((nearest[axis] - cells).astype(np.float32))
+    return np.sqrt(square, out=square), nearest
+
+
+def _pieces(core: NDArray[np.bool_], radius: float) -> NDArray[np.int32]:
+    """Number the pieces of the floor that a disc whose middle stays in ``core`` can go over, from 1 on.
+
+    Where a passage is so short that the discs before and behind it cover it, it parts two pieces all the same.
+    """
+    from scipy import ndimage
+
+    label, _ = ndimage.label(core)
+    away, nearest = _nearest_wall(~core)
+    return np.where(away < radius - ROUNDING, label[nearest[0], nearest[1]], 0).astype(np.int32)
+
+
+def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
+    """One cell per ``factor`` x ``factor`` pixels, free if all of them are: walls never vanish."""
+    if factor == 1:
+        return free
+    height, width = (-(-n // factor) * factor for n in free.shape)
+    padded = np.zeros((height, width), bool)
+    padded[: free.shape[0], : free.shape[1]] = free
+    blocks = padded.reshape(height // factor, factor, width // factor, factor)
+    return np.asarray(blocks.all(axis=(1, 3)))
+
+
+def fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
+    """The pieces of ``~free`` that are smaller than ``extent`` cells either way and do not touch the edge.
+
+    By extent and not by area, which would also take wall stubs.
+    """
+    from scipy import ndimage
+
+    label, n = ndimage.label(~free, structure=EIGHT)
+    small = np.zeros(n + 1, bool)
+    for i, (rows, columns) in enumerate(ndimage.find_objects(label), start=1):
+        inside = rows.start > 0 and columns.start > 0
+        inside = inside and rows.stop < free.shape[0] and columns.stop < free.shape[1]
+        small[i] = inside and max(rows.stop - rows.start, columns.stop - columns.start) < extent
+    return small[label]
+
+
+def _choose(
+    name: str, label: NDArray[np.int32], cell: float, seeds: NDArray[np.int64] | None, doubts: list[str]
+) -> NDArray[np.bool_]:
+    """The piece of free space with most of the seeds in it, or the largest that is not the outdoors."""
+    area = np.bincount(label.ravel()) * cell**2
+    area[0] = 0
+    if seeds is not None:
+        within = seeds[((seeds >= 0) & (seeds < label.shape)).all(axis=1)]
+        votes = np.bincount(label[tuple(within.T)], minlength=len(area))
+        votes[0] = 0
+        if not votes.any():
+            raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
+        chosen: NDArray[np.bool_] = np.isin(label, np.argmax(votes))
+        return chosen
+    # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
+    edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
+    outdoors = np.bincount(edge, minlength=len(area)) > 0.25 * len(edge)
+    outdoors[0] = False
+    bounded = np.where(outdoors, 0, area)
+    best = int(np.argmax(bounded)) if bounded.max() > 0 else int(np.argmax(area))
+    if outdoors[best]:
+        doubts.append("the free space runs along the picture's edge: is the outdoors taken for the building?")
+    elif outdoors.any():
+        doubts.append(f"{area[outdoors].sum():.0f} m² along the picture's edge were taken for the outdoors")
+    others = [float(a) for i, a in enumerate(area) if i != best and not outdoors[i] and a >= 4.0]
+    if others:
+        doubts.append(
+            f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
+            f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
+        )
+    return np.isin(label, best)

@@ -1,0 +1,1 @@
+"""Readers of floor plans and graphs, one format a module."""

@@ -1,0 +1,1 @@
+"""Pages and charts that stand alone: HTML, SVG, one palette."""

@@ -1,0 +1,1 @@
+"""Experiments: what is compared with what, and what came out."""

@@ -1,0 +1,1 @@
+"""The study of drills: practice against hostiles that repel instead of destroying."""

@@ -1,0 +1,1 @@
+"""The multiverse of readings: how far the claims depend on what the paper leaves open."""

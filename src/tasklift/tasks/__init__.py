@@ -1,0 +1,1 @@
+"""What is learned: variables, tasks and their simplifications, policies and their extension."""

@@ -1,0 +1,110 @@
+"""The scalar rules of selection and reinforcement, each written once.
+
+Plain Python over a row of weights (a 1-D float64 array), with nothing but loops,
+arithmetic and ``len``: :mod:`tasklift.tasks.policy` calls these functions as they are, and the simulator's kernel
+compiles the same source (``numba.njit(rules.draw)``). No checks are made here: rows have at least one entry,
+weights are finite and not negative, and ``u`` and ``coin`` lie in [0, 1).
+"""
+
+# No `from __future__` and no annotations on purpose: this file is compiled as it stands.
+from math import exp
+
+
+def total(weights, n):  # type: ignore[no-untyped-def]
+    """Return the sum of the first ``n`` weights, added from left to right (the order counts)."""
+    result = 0.0
+    for i in range(n):
+        result += weights[i]
+    return result
+
+
+def draw(weights, u):  # type: ignore[no-untyped-def]
+    """Return an index drawn in proportion to its weight ("exploration", section V of the paper).
+
+    A row that is all zero draws evenly. An index of weight zero is never returned while another has more,
+    also where rounding puts ``u`` times the sum at or past the end of the running sum.
+    """
+    n = len(weights)
+    whole = 0.0
+    for i in range(n):
+        whole += weights[i]
+    if whole <= 0.0:
+        even = int(u * n)
+        return even if even < n else n - 1
+    target = u * whole
+    running = 0.0
+    for i in range(n):
+        running += weights[i]
+        if target < running:
+            return i
+    last = n - 1
+    while weights[last] <= 0.0:
+        last -= 1
+    return last
+
+
+def heaviest(weights, u):  # type: ignore[no-untyped-def]
+    """Return the index of the largest weight ("exploitation"); ``u`` decides evenly between equal ones."""
+    n = len(weights)
+    most = weights[0]
+    equals = 0
+    for i in range(n):
+        if weights[i] > most:
+            most = weights[i]
+            equals = 1
+        elif weights[i] == most:
+            equals += 1
+    skip = int(u * equals)
+    if skip >= equals:
+        skip = equals - 1
+    for i in range(n):
+        if weights[i] == most:
+            if skip == 0:
+                return i
+            skip -= 1
+    return n - 1
+
+
+def select(weights, greedy, coin, u):  # type: ignore[no-untyped-def]
+    """Return the heaviest index if ``coin < greedy``, else one drawn by weight ("pseudo-random sampling").
+
+    ``greedy`` is the paper's q: 0 is exploration, 1 is exploitation. (A compiler that cannot call plain
+    functions compiles :func:`heaviest` and :func:`draw` and writes this line itself.)
+    """
+    return heaviest(weights, u) if coin < greedy else draw(weights, u)
+
+
+def reinforce(weight, signal, floor):  # type: ignore[no-untyped-def]
+    """Return ``weight`` changed by ``signal``, never below ``floor``."""
+    changed = weight + signal
+    return changed if changed > floor else floor
+
+
+def chances(values, epsilon, temperature, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` with the chance of each index under ε-greedy (temperature 0) or softmax choice, by value.
+
+    A share ``epsilon`` is even over all; the rest goes to the largest values, evenly among equal ones, or,
+    with a temperature above 0, in proportion to exp(value / temperature).
+    """
+    n = len(values)
+    most = values[0]
+    for i in range(n):
+        if values[i] > most:
+            most = values[i]
+    whole = 0.0
+    for i in range(n):
+        if temperature > 0.0:
+            out[i] = exp((values[i] - most) / temperature)
+        else:
+            out[i] = 1.0 if values[i] == most else 0.0
+        whole += out[i]
+    for i in range(n):
+        out[i] = (1.0 - epsilon) * out[i] / whole + epsilon / n
+
+
+def step_size(visits, least, power):  # type: ignore[no-untyped-def]
+    """Return the step size of a visit: ``least``, or visits ** -power if that is more and power is not 0."""
+    if power == 0.0:
+        return least
+    size = visits**-power
+    return size if size > least else least

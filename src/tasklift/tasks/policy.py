@@ -1,0 +1,449 @@
+"""Policies: a weight for every input and output of a task; choosing by weight, extending, files.
+
+A policy is the paper's π(s, a), a utility for each state and action (Singh & Adams 2006, section III).
+Extending it from a simpler task V to the task T that V came from is the paper's transfer: weights are copied
+to every value put back, and prior knowledge may then change chosen rows (:func:`swap`, :func:`invert`,
+:func:`scale`, :func:`set_weight`).
+
+Shapes: ``S`` inputs, ``A`` outputs of the policy's task.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import os
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import tasklift
+from tasklift.errors import TaskliftError
+from tasklift.files import canonical_json, check_fields, read_document, write_atomically
+from tasklift.tasks import choice as rules
+from tasklift.tasks.prior import Prior, invert, scale, set_weight, swap
+from tasklift.tasks.task import Task
+from tasklift.tasks.variable import Variable, plain_number
+
+__all__ = ["Policy", "Prior", "Rule", "Weights", "invert", "scale", "set_weight", "swap"]
+
+Weights = NDArray[np.float64]
+Rule = Literal["exploration", "pseudo-random", "exploitation"]
+
+RULES: tuple[Rule, ...] = ("exploration", "pseudo-random", "exploitation")
+
+LARGEST_JSON = 100_000
+"""Policies with more weights than this keep them in an NPZ file beside the JSON file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A utility for every input and output of a task.
+
+    Parameters
+    ----------
+    task
+        The declaration, which gives the table its meaning.
+    weights
+        float64 (S, A), copied and made read-only.
+    provenance
+        Where the policy comes from, as JSON data: seeds, settings, the policies before it.
+    kind
+        ``"weight"``: not negative, drawn in proportion (the paper's). ``"value"``: estimates of return, any
+        finite numbers, as Q-learning keeps them; they cannot be drawn in proportion.
+    carried
+        What the learner carries beside the weights: arrays (S, A), such as visit counts, and single numbers,
+        such as the exploration rate. It is saved, and extended like the weights, so that learning can go on.
+
+    Raises
+    ------
+    TaskliftError
+        For a wrong shape, NaN, infinite or negative weights; says where the first one is.
+    """
+
+    task: Task
+    weights: Weights
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    kind: Literal["weight", "value"] = "weight"
+    carried: Mapping[str, Weights | float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("weight", "value"):
+            raise TaskliftError(f"policy: expected the kind 'weight' or 'value', found {self.kind!r}")
+        weights = _checked(self.task, self.weights, "weights")
+        if self.kind == "weight":
+            if (weights < 0).any():
+                row, column = (int(i) for i in np.argwhere(weights < 0)[0])
+                raise TaskliftError(
+                    f"policy: weights are not negative, found {weights[row, column]} {self._at(row, column)}"
+                )
+            with np.errstate(over="ignore"):
+                heavy = ~np.isfinite(weights.sum(axis=1))
+            if heavy.any():
+                raise TaskliftError(f"policy: the weights of row {int(np.argmax(heavy))} are too large to be added up")
+        object.__setattr__(self, "weights", weights)
+        carried: dict[str, Weights | float] = {}
+        for name, value in self.carried.items():
+            if name in ("weights", "input"):
+                raise TaskliftError(f"policy: {name!r} cannot be carried, the name is taken; choose another")
+            if isinstance(value, np.ndarray) and value.ndim:
+                carried[name] = _checked(self.task, value, f"carried {name!r}")
+            else:
+                carried[name] = plain_number(value, f"policy, carried {name!r}")
+        object.__setattr__(self, "carried", carried)
+        object.__setattr__(self, "provenance", dict(self.provenance))
+
+    def _at(self, row: int, column: int) -> str:
+        return f"at input {self.task.input_values(row)}, output {self.task.output_values(column)}"
+
+    @classmethod
+    def equal(cls, task: Task, weight: float = 1.5) -> Policy:
+        """Return the policy that weighs everything equally: the start of direct learning."""
+        task.need_room(task.shape[0] * task.shape[1], "the policy")
+        return cls(task, np.full(task.shape, float(weight)), {"equal": float(weight)})
+
+    # -- choosing ------------------------------------------------------------------------------------------
+
+    def row(self, input: int | Mapping[str, Any]) -> Weights:
+        """Return the weights (A,) of an input, given by its index or as ``{name: value}``."""
+        if isinstance(input, Mapping):
+            return self.weights[self.task.input_index(input)]
+        if not 0 <= int(input) < self.task.shape[0]:
+            raise TaskliftError(f"policy: expected an input from 0 to {self.task.shape[0] - 1}, found {input}")
+        return self.weights[int(input)]
+
+    def probabilities(self, input: int | Mapping[str, Any], rule: Rule = "exploration", q: float = 0.9) -> Weights:
+        """Return how probable each output (A,) is at an input, under a selection rule; ties share evenly."""
+        greedy = _greedy(rule, q)
+        row = self.row(input)
+        ties = row == row.max()
+        chances = greedy * ties / ties.sum()
+        if greedy < 1.0:
+            self._need_weights(rule)
+            whole = rules.total(row, len(row))
+            chances = chances + (1.0 - greedy) * (row / whole if whole > 0 else np.full(len(row), 1 / len(row)))
+        return chances
+
+    def best(self) -> NDArray[np.int64]:
+        """Return the heaviest output of each input, int64 (S,); the first one where several are equal."""
+        return np.argmax(self.weights, axis=1).astype(np.int64)
+
+    def rows(self) -> Iterator[tuple[dict[str, Any], dict[str, Any], float, float]]:
+        """Yield (input values, output values, weight, probability) of every pair, input by input.
+
+        Probabilities are those of exploration; a policy of values has none, there it is the heaviest output's.
+        """
+        rule: Rule = "exploration" if self.kind == "weight" else "exploitation"
+        outputs = [self.task.output_values(out) for out in range(self.task.shape[1])]
+        for row in range(self.task.shape[0]):
+            seen, chances = self.task.input_values(row), self.probabilities(row, rule)
+            for out, does in enumerate(outputs):
+                yield seen, does, float(self.weights[row, out]), float(chances[out])
+
+    def describe(self, top: int = 3) -> Iterator[str]:
+        """Yield a line per input, for people: its ``top`` most likely outputs."""
+        for _, pairs in groupby(self.rows(), key=lambda pair: pair[0]):
+            likely = sorted(pairs, key=lambda pair: -pair[3])[:top]
+            does = "; ".join(f"{chance:.0%} {_told(output)}" for _, output, _, chance in likely)
+            yield f"{_told(likely[0][0])}: {does}"
+
+    def to_csv(self) -> str:
+        """Return the policy as a table: a line per input and output, with weight and probability."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        names = [variable.name for variable in (*self.task.inputs, *self.task.outputs)]
+        writer.writerow([*names, self.kind, "probability"])
+        for seen, does, weight, chance in self.rows():
+            writer.writerow([*seen.values(), *does.values(), weight, chance])
+        return text.getvalue()
+
+    def select(
+        self,
+        input: int | Mapping[str, Any],
+        rule: Rule = "exploration",
+        *,
+        q: float = 0.9,
+        rng: np.random.Generator | None = None,
+        u: float | None = None,
+        coin: float = 0.0,
+    ) -> int:
+        """Choose an output at an input, by one of the paper's three rules (section V).
+
+        Parameters
+        ----------
+        input
+            Its index, or ``{name: value}``.
+        rule
+            ``"exploration"``: drawn in proportion to weight. ``"exploitation"``: the heaviest.
+            ``"pseudo-random"``: the heaviest with probability ``q``, else in proportion.
+        rng
+            Supplies the chances; ties between heaviest outputs are broken with it, too.
+        u, coin
+            The chances themselves, in [0, 1), in place of ``rng``.
+        """
+        greedy = _greedy(rule, q)
+        if greedy < 1.0:
+            self._need_weights(rule)
+        if (rng is None) == (u is None):
+            raise TaskliftError("policy, select: give either rng= or u=, so that the choice can be repeated")
+        if rng is not None:
+            coin, u = rng.random(), rng.random()
+        return int(rules.select(self.row(input), greedy, coin, u))
+
+    def _need_weights(self, rule: str) -> None:
+        if self.kind == "value":
+            raise TaskliftError(f"policy: values cannot be drawn in proportion ({rule}); use 'exploitation'")
+
+    # -- extending -----------------------------------------------------------------------------------------
+
+    def extend(self, task: Task, prior: Sequence[Prior] = ()) -> Policy:
+        """Extend the policy to the task that its own task came from (section III of the paper).
+
+        The weights are copied to every value put back, of inputs and of outputs. A variable that had been
+        restricted to several of its values gives a returned value the mean over those. What the learner
+        carries is extended in the same way; then the priors change the weights, in order.
+
+        Parameters
+        ----------
+        task
+            A task of this task's lineage: its parent, the root, or any in between, or the same task again.
+        prior
+            Operations on chosen rows: :func:`swap`, :func:`invert`, :func:`scale`, :func:`set_weight`.
+
+        Raises
+        ------
+        TaskliftError
+            If this policy's task is no simplification of ``task`` (names the variable), or a prior names
+            something unknown.
+        """
+        ancestor = self.task.ancestor(task)
+        task.need_room(task.shape[0] * task.shape[1], "the extended policy")
+        weights = _put_back(self.weights, self.task, ancestor)
+        for operation in prior:
+            weights = operation.apply(task, weights)
+        provenance = {
+            "extended_from": self.task.name,
+            "before": dict(self.provenance),
+            "prior": [operation.to_json() for operation in prior],
+        }
+        carried = {
+            name: _put_back(value, self.task, ancestor) if isinstance(value, np.ndarray) else value
+            for name, value in self.carried.items()
+        }
+        return Policy(task, weights, provenance, self.kind, carried)
+
+    # -- files ---------------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the policy as JSON that a person can read, one input per line.
+
+        More than :data:`LARGEST_JSON` weights go into an NPZ file beside it, of the same name; keep them
+        together.
+        """
+        target = Path(path)
+        document: dict[str, Any] = {
+            "format": "tasklift-policy",
+            "version": 1,
+            "written_by": f"tasklift {tasklift.__version__}",
+            "kind": self.kind,
+            "task": self.task.to_json(),
+            "provenance": dict(self.provenance),
+        }
+        arrays: dict[str, Any] = {"weights": self.weights}
+        arrays |= {n: v for n, v in self.carried.items() if isinstance(v, np.ndarray)}
+        document["numbers"] = {n: v for n, v in self.carried.items() if not isinstance(v, np.ndarray)}
+        try:
+            canonical_json(document)
+        except (TypeError, ValueError) as error:
+            raise TaskliftError(f"{target}: the provenance is not JSON data ({error})") from error
+        if self.weights.size > LARGEST_JSON:
+            beside = target.with_suffix(".npz")
+            if beside == target:
+                raise TaskliftError(f"{target}: the suffix .npz is taken by the weights; save to a .json file")
+            buffer = io.BytesIO()
+            np.savez_compressed(buffer, **arrays)
+            write_atomically(beside, buffer.getvalue())
+            document["arrays"] = {
+                "file": beside.name,
+                "sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
+            }
+        else:
+            document["outputs"] = [self.task.output_values(a) for a in range(self.task.shape[1])]
+            document["rows"] = [
+                {"input": self.task.input_values(s)} | {name: array[s].tolist() for name, array in arrays.items()}
+                for s in range(self.task.shape[0])
+            ]
+        document["checksum"] = _checksum(document)
+        write_atomically(target, _readable(document))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], task: Task | None = None) -> Policy:
+        """Read a policy file; with ``task``, check that it fits, and say which variable does not.
+
+        A file that was damaged, cut short or changed is refused. Somebody who edits a policy by hand, and
+        means it, takes the field ``checksum`` out.
+        """
+        document = read_document(path, "tasklift-policy", 1)
+        where = str(path)
+        shape: dict[str, Any] = {"format": str, "version": int, "written_by": str, "kind": str, "task": dict}
+        shape |= {"provenance": dict, "numbers": dict, "checksum?": str}
+        shape |= {"arrays": dict} if "arrays" in document else {"outputs": list, "rows": list}
+        check_fields(document, where, shape)
+        if "checksum" in document and document["checksum"] != _checksum(document):
+            raise TaskliftError(
+                f"{where}: the content does not match its checksum: damaged, or edited? "
+                "If you edited it on purpose, take the field 'checksum' out"
+            )
+        try:
+            found = Task.from_json(document["task"], f"{where}, task")
+            if task is not None and (reason := found.difference(task)) is not None:
+                raise TaskliftError(f"it is the policy of another task: {reason}")
+            if "arrays" in document:
+                arrays = _read_arrays(Path(path), document["arrays"])
+            else:
+                arrays = _read_rows(found, document)
+            weights = arrays.pop("weights")
+            carried = arrays | document["numbers"]
+            return cls(task or found, weights, document["provenance"], document["kind"], carried)
+        except TaskliftError as error:
+            raise TaskliftError(str(error) if where in str(error) else f"{where}: {error}") from error
+
+
+def _greedy(rule: str, q: float) -> float:
+    """Return the probability of taking the heaviest output under a selection rule."""
+    if rule not in RULES:
+        raise TaskliftError(f"selection: expected one of {', '.join(RULES)}, found {rule!r}")
+    if not 0.0 <= q <= 1.0:
+        raise TaskliftError(f"selection: q is a probability, from 0 to 1, found {q!r}")
+    return {"exploration": 0.0, "exploitation": 1.0}.get(rule, float(q))
+
+
+def _checked(task: Task, given: ArrayLike, what: str) -> Weights:
+    """Return a read-only float64 (S, A) copy, or say what is wrong with it."""
+    try:
+        array = np.array(given, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise TaskliftError(f"policy: the {what} are not a table of numbers ({error})") from error
+    if array.shape != task.shape:
+        raise TaskliftError(
+            f"policy: expected {what} of shape {task.shape} (inputs × outputs of {task.name!r}), found {array.shape}"
+        )
+    if not np.isfinite(array).all():
+        row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise TaskliftError(
+            f"policy: expected finite {what}, found {array[row, column]} at input {task.input_values(row)}, "
+            f"output {task.output_values(column)}"
+        )
+    array.setflags(write=False)
+    return array
+
+
+def _put_back(table: Weights, task: Task, ancestor: Task) -> Weights:
+    """Extend a table of ``task`` to an ancestor: copies, or means over the values that a restriction kept."""
+    whole = spread(table, task.inputs, ancestor.inputs, task.fates(ancestor), axis=0)
+    return spread(whole, task.outputs, ancestor.outputs, task.fates(ancestor), axis=1)
+
+
+def spread(
+    table: Weights,
+    ours: Sequence[Variable],
+    theirs: Sequence[Variable],
+    fates: Mapping[str, tuple[int, ...] | None],
+    axis: int,
+) -> Weights:
+    """Extend one axis of a table (n, A) or (S, n) from the variables it has to those of an ancestor."""
+    before, after = table.shape[:axis], table.shape[axis + 1 :]
+    cube = table.reshape([*before, *(len(v) for v in ours), *after])
+    names = {v.name for v in ours}
+    for k, variable in enumerate(theirs, start=axis):
+        inside = fates[variable.name]
+        if variable.name not in names:
+            cube = np.repeat(np.expand_dims(cube, k), len(variable), axis=k)
+        elif inside is not None and len(inside) < len(variable):
+            wider = np.repeat(cube.mean(axis=k, keepdims=True), len(variable), axis=k)
+            wider[(slice(None),) * k + (list(inside),)] = cube
+            cube = wider
+    return np.ascontiguousarray(cube.reshape(*before, -1, *after))
+
+
+# -- files -------------------------------------------------------------------------------------------------
+
+
+def _checksum(document: Mapping[str, Any]) -> str:
+    content = {name: value for name, value in document.items() if name != "checksum"}
+    return hashlib.sha256(canonical_json(content).encode()).hexdigest()
+
+
+def _spelled(value: Any) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def _readable(document: Mapping[str, Any]) -> str:
+    """Spell a document with one field per line, and one line per row or output."""
+    lines = []
+    for name, value in document.items():
+        if name in ("rows", "outputs") and value:
+            body = ",\n    ".join(_spelled(item) for item in value)
+            lines.append(f'  "{name}": [\n    {body}\n  ]')
+        else:
+            lines.append(f'  "{name}": {_spelled(value)}')
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _read_rows(task: Task, document: Mapping[str, Any]) -> dict[str, Weights]:
+    outputs, rows = document["outputs"], document["rows"]
+    task.need_room(task.shape[0] * task.shape[1], "the policy")
+    if len(rows) != task.shape[0] or outputs != [task.output_values(a) for a in range(task.shape[1])]:
+        raise TaskliftError(
+            f"expected {task.shape[0]} rows and the task's {task.shape[1]} outputs, "
+            f"found {len(rows)} and {len(outputs)}"
+        )
+    names = [name for name in rows[0] if name != "input"] if isinstance(rows[0], dict) else []
+    if "weights" not in names:
+        raise TaskliftError("row 0 has no weights")
+    for s, row in enumerate(rows):
+        check_fields(row, f"row {s}", {"input": dict} | dict.fromkeys(names, list))
+        if row["input"] != task.input_values(s):
+            raise TaskliftError(f"row {s}: expected the input {task.input_values(s)}, found {row['input']}")
+        for name in names:
+            numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in row[name])
+            if len(row[name]) != task.shape[1] or not numbers:
+                raise TaskliftError(f"row {s}: expected {task.shape[1]} numbers as {name}")
+    try:
+        return {name: np.array([row[name] for row in rows], dtype=np.float64) for name in names}
+    except OverflowError as error:
+        raise TaskliftError("a weight is too large to be a number") from error
+
+
+def _read_arrays(path: Path, beside: Mapping[str, Any]) -> dict[str, Weights]:
+    check_fields(beside, f"{path}, arrays", {"file": str, "sha256": str})
+    name = beside["file"]
+    if Path(name).name != name or not name.endswith(".npz"):
+        raise TaskliftError(f"expected the name of an .npz file in the same folder, found {name!r}")
+    file = path.with_name(name)
+    try:
+        raw = file.read_bytes()
+    except OSError as error:
+        raise TaskliftError(f"its weights are in {file}, which cannot be read ({error.strerror})") from error
+    if hashlib.sha256(raw).hexdigest() != beside["sha256"]:
+        raise TaskliftError(f"its weights in {file} are not the ones saved with it: damaged, or of another policy")
+    try:
+        with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
+            found = {key: arrays[key] for key in arrays.files}
+    except (ValueError, OSError, zipfile.BadZipFile) as error:
+        raise TaskliftError(f"{file}: not a file of arrays ({error})") from error
+    if "weights" not in found:
+        raise TaskliftError(f"{file}: has no weights")
+    return found
+
+
+def _told(values: Mapping[str, Any]) -> str:
+    return " ".join(f"{name}={value}" for name, value in values.items())

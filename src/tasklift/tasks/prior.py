@@ -1,0 +1,160 @@
+"""Prior knowledge: operations on chosen rows of a policy's weights, named, so that provenance can tell them.
+
+"If we know that the unsafe value requires the direct opposite of the safe value actions, the signs of the weight
+values can be inverted instead of merely copying them" (Singh & Adams 2006, section VII).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.errors import TaskliftError
+from tasklift.tasks.task import Condition, Task
+from tasklift.tasks.variable import plain_number
+
+Weights = NDArray[np.float64]
+Inputs = NDArray[np.int64] | None
+
+
+class Prior(Protocol):
+    """Prior knowledge: an operation on chosen weights, told in words."""
+
+    def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
+        """Return changed weights of ``task``; the given ones stay as they are.
+
+        Parameters
+        ----------
+        weights
+            float64 (S, A), or (n, A) of some inputs only.
+        inputs
+            int64 (n, variables): the positions of their values (:meth:`Task.input_positions`); None: all inputs.
+        """
+        ...
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what was done, for the provenance of a policy."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Swap:
+    output: str
+    values: tuple[Any, Any] | None
+    when: Condition
+
+    def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
+        where = "prior swap"
+        variable = task.variable(self.output, where)
+        if variable not in task.outputs:
+            raise TaskliftError(f"{where}: expected an output, found the input {self.output!r}")
+        if self.output in self.when:
+            raise TaskliftError(f"{where}: {self.output!r} is what is swapped, it cannot be a condition as well")
+        if self.values is None and len(variable) != 2:
+            raise TaskliftError(f"{where}: {self.output!r} has {len(variable)} values; say which with values=(a, b)")
+        pair = variable.values if self.values is None else self.values
+        if len(pair) != 2:
+            raise TaskliftError(f"{where}: expected two values to swap, found {pair!r}")
+        one, other = (task.where({**self.when, self.output: value}, inputs) for value in pair)
+        changed = weights.copy()
+        # the masks list the same rows, and the other outputs in the same order, so their entries match one
+        # to one
+        changed[one], changed[other] = weights[other], weights[one]
+        return changed
+
+    def to_json(self) -> dict[str, Any]:
+        return _told("swap", self.when, output=self.output, values=self.values)
+
+
+@dataclass(frozen=True)
+class _Invert:
+    when: Condition
+
+    def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
+        chosen = task.where(self.when, inputs)
+        rows = chosen.any(axis=1)
+        low = weights.min(axis=1, where=chosen, initial=np.inf)[rows, None]
+        high = weights.max(axis=1, where=chosen, initial=-np.inf)[rows, None]
+        changed = weights.copy()
+        reflected = np.clip(low + high - weights[rows], low, high)
+        changed[rows] = np.where(chosen[rows], reflected, weights[rows])
+        return changed
+
+    def to_json(self) -> dict[str, Any]:
+        return _told("invert", self.when)
+
+
+@dataclass(frozen=True)
+class _Scale:
+    factor: float
+    when: Condition
+
+    def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
+        return np.where(task.where(self.when, inputs), weights * self.factor, weights)
+
+    def to_json(self) -> dict[str, Any]:
+        return _told("scale", self.when, factor=self.factor)
+
+
+@dataclass(frozen=True)
+class _SetWeight:
+    value: float
+    when: Condition
+
+    def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
+        return np.where(task.where(self.when, inputs), self.value, weights)
+
+    def to_json(self) -> dict[str, Any]:
+        return _told("set_weight", self.when, value=self.value)
+
+
+def _told(operation: str, when: Condition, **rest: Any) -> dict[str, Any]:
+    conditions = {n: v if isinstance(v, str) else np.asarray(v).tolist() for n, v in when.items()}
+    return {"operation": operation, "when": conditions} | {
+        name: list(v) if isinstance(v, tuple) else v for name, v in rest.items() if v is not None
+    }
+
+
+def swap(output: str, values: tuple[Any, Any] | None = None, when: Condition | None = None) -> Prior:
+    """Prior: exchange the weights of two values of an output; the unsafe value asks for the opposite.
+
+    Parameters
+    ----------
+    output
+        An output variable; one of two values needs no ``values``.
+    values
+        The two values to exchange; all other outputs keep their combination.
+    when
+        ``{variable: value or values}``: only there. Conditions on inputs choose rows, on outputs columns.
+    """
+    return _Swap(output, None if values is None else tuple(values), dict(when or {}))
+
+
+def invert(when: Condition | None = None) -> Prior:
+    """Prior: turn the order of the chosen weights of each row around.
+
+    The paper inverts signs. Weights here are not negative, so each chosen weight is reflected between the
+    smallest and the largest chosen weight of its row: the heaviest becomes the lightest, and the range stays.
+    """
+    return _Invert(dict(when or {}))
+
+
+def scale(factor: float, when: Condition | None = None) -> Prior:
+    """Prior: multiply the chosen weights by a factor, finite and not negative."""
+    return _Scale(_finite(factor, "scale", at_least=0.0), dict(when or {}))
+
+
+def set_weight(value: float, when: Condition | None = None) -> Prior:
+    """Prior: give the chosen weights this value."""
+    return _SetWeight(_finite(value, "set_weight"), dict(when or {}))
+
+
+def _finite(value: float, what: str, at_least: float = -math.inf) -> float:
+    number = plain_number(value, f"prior {what}")
+    if number < at_least:
+        raise TaskliftError(f"prior {what}: expected a number of {at_least} or more, found {value!r}")
+    return number

@@ -1,0 +1,204 @@
+"""The command line: what it makes, and one clear line with exit code 2 for every mistake."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tasklift.building.generate import generate
+from tasklift.building.mission import search_and_clear
+from tasklift.cli import main as cli
+from tasklift.lab import FILE_NAME
+from tasklift.tasks.policy import Policy
+
+
+@pytest.fixture
+def tasklift(monkeypatch, capsys, tmp_path):
+    """Run the command in an empty folder; return (exit code, standard output, standard error)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["tasklift", *map(str, arguments)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as stop:
+            code = stop.code
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return run
+
+
+@pytest.fixture
+def building(tmp_path):
+    path = tmp_path / "house.json"
+    generate(intersections=5, corridors=5, rooms=2, features=5, seed=1).save(path)
+    return path
+
+
+SMALL = ("--seeds", 1, "--trials", 3)
+
+
+def test_help_names_every_command(tasklift):
+    code, out, _ = tasklift("--help")
+    assert code == 0
+    for name in ("reproduce", "train", "map", "policy", "runs", "watch"):
+        assert name in out
+
+
+def test_help_loads_nothing_heavy():
+    script = (
+        "import sys; sys.argv = ['tasklift', '--help']\n"
+        "from tasklift.cli import main as cli\n"
+        "try: cli.main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numba', 'scipy', 'matplotlib', 'shapely', 'numpy'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
+def test_train_leaves_policies_rows_and_a_report(tasklift, building):
+    code, out, _ = tasklift("train", building, *SMALL, "--out", "run")
+    assert code == 0
+    assert "policy to take" in out
+    assert {p.name for p in Path("run").iterdir()} >= {"policy.json", "policies", "rows.csv", "report.html", FILE_NAME}
+    assert Policy.load("run/policy.json", search_and_clear()).weights.shape == (90, 44)
+    first = Path("run/policy.json").read_bytes()
+    code, _, _ = tasklift("train", building, *SMALL, "--out", "run")  # resumes: everything is there
+    assert code == 0
+    assert Path("run/policy.json").read_bytes() == first
+    code, out, _ = tasklift("policy", "show", "run/policy.json")
+    assert code == 0
+    assert "DL=0 GL=0 nWPN=0 FTR=1" in out
+    code, _, _ = tasklift("policy", "export", "run/policy.json", "-o", "table.csv")
+    assert code == 0
+    assert len(Path("table.csv").read_text().splitlines()) == 1 + 90 * 44
+    code, out, _ = tasklift("runs", "show", "run")
+    assert code == 0
+    assert "copy+prior" in out
+    code, out, _ = tasklift("runs", "list", ".")
+    assert code == 0
+    assert "training on" in out
+    code, out, _ = tasklift("runs", "compare", "run", "--arms", "copy", "direct")
+    assert code == 0
+    assert "losses" in out
+    code, out, _ = tasklift("runs", "export", "run", "-o", "rows.parquet")
+    assert code == 0
+    assert Path("rows.parquet").stat().st_size > 0
+
+
+def broken(text):
+    def make(path):
+        path.write_text(text(path.read_text()))
+
+    return make
+
+
+def edited(change):
+    def edit(text):
+        document = json.loads(text)
+        change(document)
+        return json.dumps(document)
+
+    return broken(edit)
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda path: path.unlink(), "cannot be read"),
+        (broken(lambda text: text[: len(text) // 2]), "not valid JSON"),
+        (edited(lambda d: d.update(colour="red")), "colour"),
+        (edited(lambda d: d["nodes"][0].update(colour="red")), "colour"),
+        (edited(lambda d: d["edges"][0].update(b=99)), "99"),
+        (edited(lambda d: d.update(edges=d["edges"][1:2])), "reach"),
+        (edited(lambda d: d["edges"][0].update(length_m=-1)), "length_m"),
+        (edited(lambda d: d.update(version=99)), "newer"),
+        (edited(lambda d: d.update(format="tasklift-policy")), "tasklift-building"),
+    ],
+)
+def test_damaged_buildings_are_refused_in_one_line(tasklift, building, damage, says):
+    damage(building)
+    code, out, err = tasklift("train", building, *SMALL, "--out", "run")
+    assert (code, out) == (2, "")
+    assert says in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    assert not Path("run").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--hostiles", 9), "not next to the start"),
+        (("--weapons-needed", 6), "needs 6 weapon robots, the team has 5"),
+        (("--team", "0+0", "--hostiles", 0), "at least one robot"),
+        (("--team", "ten"), "10+5"),
+        (("--trials", 0), "--trials"),
+        (("--limit", -1), "--limit"),
+        (("--engine", "abacus"), "--engine"),
+    ],
+)
+def test_impossible_requests_are_refused(tasklift, building, options, says):
+    code, _, err = tasklift("train", building, *SMALL, *options, "--out", "run")
+    assert code == 2
+    assert says in err
+    assert not Path("run").exists()
+
+
+def test_a_folder_with_anything_else_is_left_alone(tasklift, building):
+    Path("thesis").mkdir()
+    Path("thesis/chapter1.txt").write_text("precious")
+    code, _, err = tasklift("train", building, *SMALL, "--out", "thesis")
+    assert code == 2
+    assert "holds other files" in err
+    assert [p.name for p in Path("thesis").iterdir()] == ["chapter1.txt"]
+
+
+def test_a_folder_with_another_experiment_is_left_alone(tasklift, building):
+    assert tasklift("train", building, *SMALL, "--out", "run")[0] == 0
+    before = {p: p.stat().st_mtime_ns for p in Path("run").rglob("*")}
+    code, _, err = tasklift("train", building, "--seeds", 2, "--trials", 3, "--out", "run")
+    assert code == 2
+    assert "seeds" in err
+    assert {p: p.stat().st_mtime_ns for p in Path("run").rglob("*")} == before
+
+
+def test_unknown_files_and_policies_are_refused(tasklift, tmp_path):
+    for arguments, says in [
+        (("train", "plan.dwg"), "map import"),
+        (("policy", "show", "nothing.json"), "cannot be read"),
+        (("policy", "export", "nothing.json", "-o", "x.csv"), "cannot be read"),
+        (("runs", "show", "nowhere"), "nowhere"),
+        (("frobnicate",), "frobnicate"),
+    ]:
+        code, _, err = tasklift(*arguments)
+        assert code == 2, arguments
+        assert says in err
+        assert "Traceback" not in err
+
+
+def test_ctrl_c_ends_in_one_line_and_the_same_command_resumes(tmp_path):
+    house = tmp_path / "house.json"
+    generate(seed=1).save(house)
+    command = [Path(sys.executable).with_name("tasklift"), "train", house, "--seeds", "40", "--out", tmp_path / "run"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    store = tmp_path / "run" / FILE_NAME
+    deadline = time.monotonic() + 120
+    while not (store.exists() and store.stat().st_size > 60_000) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "the same command goes on from there" in err
+    assert "Traceback" not in err

@@ -1,0 +1,463 @@
+"""Curricula: what enters a stage, the ledger and its caps, rollback, the guard and its error rates, the verdict."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_reinforcement import Corridor, simple_task
+from test_values import Gate, random_model
+
+from tasklift.errors import TaskliftError
+from tasklift.learning.compare import compare
+from tasklift.learning.curriculum import Curriculum, Stage
+from tasklift.learning.guard import Guard, SequentialTest
+from tasklift.learning.reinforcement import Outcomes, Reinforcement, reinforce, sweep
+from tasklift.learning.steps import Step, StepOutcomes
+from tasklift.learning.values import ValueLearning, learn_values
+from tasklift.tasks.policy import Policy, swap
+from tasklift.tasks.task import Signal, Task, Variable
+
+PROPERTY = settings(deadline=None, derandomize=True, max_examples=60)
+OPPOSITE = swap("go", when={"shut": 1})
+
+
+def corridor_curriculum(**target) -> Curriculum:
+    options = {"trials": 60, "prior": [OPPOSITE]} | target
+    return Curriculum(
+        [
+            Stage("open", simple_task(), Corridor(hazard=False), repeats=5),
+            Stage("gate", Corridor.task, Corridor(), **options),
+        ]
+    )
+
+
+# -- stages --------------------------------------------------------------------------------------------------
+
+
+def test_a_curriculum_does_what_one_would_do_by_hand() -> None:
+    run = corridor_curriculum().run(seed=3)
+    v = sweep(Corridor(hazard=False), simple_task(), repeats=5, seed=3)
+    by_hand = reinforce(Corridor(), v.extend(Corridor.task, [OPPOSITE]), trials=60, seed=3)
+    assert np.array_equal(run.policy.weights, by_hand.policy.weights)
+    assert np.array_equal(run.outcomes["gate"].losses, by_hand.outcomes.losses)
+    assert run.ledger.by_stage() == {"open": 0, "gate": int(by_hand.outcomes.losses.sum())}
+    told = run.policy.provenance
+    assert (told["stage"], told["trials"], told["seed"]) == ("gate", 60, 3)
+    assert told["before"]["prior"][0]["operation"] == "swap"
+    assert told["before"]["before"]["stage"] == "open"
+
+
+@pytest.mark.parametrize("block", [1, 7, 20, 1000])
+def test_blocks_change_nothing(block: int) -> None:
+    learning = ValueLearning(epsilon=0.5, epsilon_decay=0.95, step_size=0.05, step_power=0.7)
+    model = random_model(5)
+    stage = Stage("all", model.task, model, learning, trials=50)
+    run = Curriculum([stage], block=block).run(seed=4)
+    whole = learn_values(model, trials=50, seed=4, learning=learning)
+    assert np.array_equal(run.policy.weights, whole.policy.weights)
+    assert np.array_equal(run.outcomes["all"].returns, whole.outcomes.returns)
+    baseline = Reinforcement(time_signal="baseline")
+    weights = Stage("all", Corridor.task, Corridor(), baseline, trials=30)
+    one_piece = reinforce(Corridor(), Policy.equal(Corridor.task), trials=30, seed=4, reinforcement=baseline)
+    assert np.array_equal(Curriculum([weights], block=block).run(4).policy.weights, one_piece.policy.weights)
+
+
+def test_a_chain_of_three_tasks_by_value() -> None:
+    # V1 sees the place only, V2 the gate as well but it is open, T is the gate that opens and shuts
+    learner = ValueLearning("sarsa", 0.5, epsilon=0.2, epsilon_decay=0.98)
+    safe = Gate.task.simplify(fix={"shut": 0})
+    stages = [
+        Stage("one", safe, Gate(False), learner, trials=20),
+        Stage("two", Gate.task, Gate(False), learner, trials=20),
+        Stage("three", Gate.task, Gate(), learner, trials=200),
+    ]
+    run = Curriculum(stages).run(1)
+    assert [e.trials for e in run.ledger.entries] == [20, 20, 200]
+    assert run.policy.carried["epsilon"] == pytest.approx(0.2 * 0.98**240)
+    again = Curriculum([*stages[:2], replace(stages[2], keep_exploration=False)]).run(1)
+    assert again.policy.carried["epsilon"] == pytest.approx(0.2 * 0.98**200)
+    assert sum(run.ledger.by_stage().values()) == run.ledger.total == run.outcomes["three"].losses.sum()
+    assert run.ledger.per_1000_steps()["one"] == 0
+    assert "total losses" in str(run.ledger)
+
+
+def test_a_budget_of_steps() -> None:
+    learner = ValueLearning()
+    run = Curriculum([Stage("s", Gate.task, Gate(), learner, steps=300)]).run()
+    steps = run.outcomes["s"].steps
+    assert steps[:-1].sum() < 300 <= steps.sum()
+    weights = Curriculum([Stage("s", Gate.task, Gate(), steps=300)]).run().outcomes["s"].steps
+    assert weights[:-1].sum() < 300 <= weights.sum()
+
+
+# -- trust ---------------------------------------------------------------------------------------------------
+
+
+def test_trust_in_values_is_a_number_of_visits() -> None:
+    learner = ValueLearning(step_size=0.01, step_power=1.0, epsilon=0.0)
+    source = Policy(
+        Gate.task.simplify(fix={"shut": 0}),
+        np.array([[4.0, 8.0]] * 3),
+        kind="value",
+        carried={"visits": np.array([[500.0, 0.0]] * 3), "epsilon": 0.0},
+    )
+    stage = Stage("t", Gate.task, Gate(), learner, trials=1, trust=9)
+    entered = stage.enter(source)
+    assert entered.carried["visits"].tolist() == [[9, 0]] * 6
+    # the next visit is the tenth, so it moves a trusted value by a tenth; what was never visited gives way at once
+    assert pytest.approx(0.1) == 10**-1.0
+    kept = replace(stage, trust=None).enter(source)
+    assert kept.carried["visits"][0].tolist() == [500, 0]
+
+
+def test_trust_in_weights_is_a_number_of_signals() -> None:
+    task = Task("t", (Variable("x", (0, 1)),), (Variable("y", (0, 1, 2)),), (Signal(-0.25, {"y": 0}),))
+    weights = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
+
+    class Nothing:
+        def __init__(self) -> None:
+            self.task = task
+
+        def run(self, *_, **__):  # pragma: no cover
+            raise AssertionError
+
+    entered = Stage("s", task, Nothing(), trials=1, trust=4).enter(Policy(task, weights))
+    # the mean weight of a row is worth four signals of 0.25; chances stay as they are
+    assert entered.weights.tolist() == [[0.5, 1.0, 1.5], [0.0, 0.0, 0.0]]
+
+
+# -- caps and rollback ---------------------------------------------------------------------------------------
+
+
+@PROPERTY
+@given(
+    cap=st.integers(1, 30), block=st.integers(1, 30), share=st.sampled_from([None, 0.2, 0.5]), seed=st.integers(0, 50)
+)
+def test_no_trial_begins_after_a_cap(cap: int, block: int, share: float | None, seed: int) -> None:
+    model = random_model(seed)
+    guard = None if share is None else Guard("return", share)
+    learner = ValueLearning(epsilon=0.5)
+    stage = Stage("risky", model.task, model, learner, trials=40, max_losses=cap, guard=guard)
+    run = Curriculum([stage], block=block).run(seed)
+    parts = [outcomes.losses for outcomes in run.outcomes.values()]
+    largest = max(int(part.max()) for part in parts if len(part))
+    if run.stopped:
+        assert cap <= run.ledger.total < cap + largest
+        assert any(entry.stopped for entry in run.ledger.entries)
+    else:
+        assert run.ledger.total < cap
+        assert sum(entry.trials for entry in run.ledger.entries) == 40
+
+
+def test_a_cap_over_all_stages_ends_the_run_and_one_of_a_stage_only_the_stage() -> None:
+    learner = ValueLearning("sarsa", 0.5, epsilon=0.3)
+    first = Stage("first", Gate.task, Gate(), learner, trials=500, max_losses=5)
+    second = Stage("second", Gate.task, Gate(), learner, trials=30)
+    run = Curriculum([first, second]).run(2)
+    assert run.stopped == "first"
+    assert [e.stopped for e in run.ledger.entries] == [True, False]
+    assert run.ledger.entries[0].losses >= 5
+    assert run.ledger.entries[1].trials == 30
+    both = Curriculum([replace(first, max_losses=None), second], max_losses=5).run(2)
+    assert [e.stage for e in both.ledger.entries] == ["first"]
+    assert both.ledger.total >= 5
+
+
+def test_a_rehearsal_loses_nothing_for_good() -> None:
+    learner = ValueLearning("sarsa", 0.5, epsilon=0.3)
+    drill = Stage("drill", Gate.task, Gate(), learner, trials=200, rehearsal=True)
+    real = Stage("real", Gate.task, Gate(), learner, trials=30)
+    run = Curriculum([drill, real], max_losses=50).run(2)
+    first, second = run.ledger.entries
+    assert (first.trials, first.losses) == (200, 0)
+    assert first.would_be == run.outcomes["drill"].losses.sum() > 0
+    assert run.ledger.total == second.losses == run.outcomes["real"].losses.sum()
+    assert f"({first.would_be} would-be losses)" in str(run.ledger)
+
+
+def test_the_rollback_policy_is_the_one_with_which_the_best_block_began() -> None:
+    # learning that is punished for going: it gets worse and worse, so the best block is an early one
+    spoilt = Corridor.task.simplify(signals=[Signal(-0.5, {"go": 1})], time_reward=0.0)
+    start = Policy(spoilt, np.tile([0.5, 9.0], (6, 1)))
+    stage = Stage("spoilt", spoilt, Corridor(hazard=False), trials=60)
+    run = Curriculum([stage], block=10, best_by=("success", "steps")).run(0, initial=start)
+    assert np.array_equal(run.best.weights, start.weights)
+    assert not np.array_equal(run.policy.weights, start.weights)
+    blocks = run.outcomes["spoilt"].steps.reshape(6, 10).mean(axis=1)
+    assert blocks.argmin() == 0
+
+
+def test_one_lucky_trial_is_no_best_block() -> None:
+    # a budget of steps runs weights trial by trial, and a last block may be cut short; neither is a block to judge by
+    stage = Stage("s", Gate.task, Gate(), steps=400)
+    run = Curriculum([stage], block=10, best_by=["steps"]).run(3)
+    steps = run.outcomes["s"].steps
+    full = steps[: len(steps) // 10 * 10].reshape(-1, 10).mean(axis=1)
+    before = 10 * int(full.argmin())
+    assert steps.min() < full.min()
+    assert 0 < before < len(steps)
+    until = Curriculum([replace(stage, steps=None, trials=before)]).run(3)
+    assert np.array_equal(run.best.weights, until.policy.weights)
+    v = Curriculum([corridor_curriculum().stages[0]]).run(0)
+    assert np.array_equal(v.best.weights, v.policy.weights)
+
+
+def test_after_a_cap_the_next_stage_enters_with_the_rollback_policy() -> None:
+    first = Stage("first", Gate.task, Gate(), trials=200, max_losses=4)
+    second = Stage("second", Gate.task, Gate(False), trials=5)
+    run = Curriculum([first, second], block=3).run(5)
+    alone = Curriculum([first], block=3).run(5)
+    assert alone.stopped == "first"
+    # the first stage of two has another random key than a last one, so compare by key
+    keyed = Curriculum([replace(first, key=2), second], block=3).run(5)
+    assert keyed.policy.provenance["before"]["before"]["losses"] == alone.ledger.total
+    assert run.stopped == "first"
+
+
+# -- the guard -----------------------------------------------------------------------------------------------
+
+
+def first_verdict(differences: np.ndarray, alpha: float = 0.05) -> str:
+    test = SequentialTest(alpha)
+    for difference in differences:
+        if test.update(float(difference)) != "can't tell yet":
+            break
+    return test.verdict
+
+
+@pytest.mark.parametrize("kind", ["signs", "bounded", "sticky", "rare"])
+def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
+    # looked at after each of 300 pairs; each side may be wrong in 5 % of streams, and 3 standard errors more
+    rng = np.random.default_rng(11)
+    streams, pairs = 500, 300
+    if kind == "signs":
+        data = rng.choice([-1.0, 1.0], (streams, pairs))
+    elif kind == "bounded":
+        data = rng.beta(0.5, 1.5, (streams, pairs)) - rng.beta(0.5, 1.5, (streams, pairs))
+    elif kind == "sticky":
+        # the size depends on the past, the mean given the past is zero all the same
+        size = np.cumprod(rng.choice([0.97, 1.0], (streams, pairs)), axis=1)
+        data = size * rng.choice([-1.0, 1.0], (streams, pairs))
+    else:
+        data = rng.choice([-1.0, 0.0, 1.0], (streams, pairs), p=[0.02, 0.96, 0.02])
+    told = Counter(first_verdict(stream) for stream in data)
+    allowed = streams * 0.05 + 3 * np.sqrt(streams * 0.05 * 0.95)
+    assert told["helps"] <= allowed
+    assert told["hurts"] <= allowed
+    assert told["can't tell yet"] >= streams - 2 * allowed
+
+
+def test_true_effects_are_found() -> None:
+    rng = np.random.default_rng(12)
+    for lean, expected in ((0.7, "helps"), (0.3, "hurts")):
+        data = np.where(rng.random((300, 200)) < lean, 1.0, -1.0)
+        assert Counter(first_verdict(stream) for stream in data)[expected] > 0.95 * 300
+
+
+def test_the_order_of_evidence_is_symmetric() -> None:
+    rng = np.random.default_rng(13)
+    one, other = SequentialTest(), SequentialTest()
+    for difference in rng.uniform(-1, 1, 50):
+        one.update(difference)
+        other.update(-difference)
+    assert one.evidence == other.evidence[::-1]
+
+
+class Raffle:
+    """Two outputs, equally bad; each has its own luck in every trial."""
+
+    task = Task("raffle", (Variable("x", (0,)),), (Variable("ticket", (0, 1)),))
+    limit = 1
+
+    def start(self, rng: np.random.Generator) -> int:
+        self.unlucky = rng.random(2) < 0.3
+        return 0
+
+    def step(self, output: int) -> Step:
+        lost = int(self.unlucky[output])
+        return Step(0, -float(lost), True, lost, not lost)
+
+
+def test_a_whole_guarded_stage_keeps_to_its_error_rates() -> None:
+    # what is transferred prefers a ticket for no reason: neither helps nor hurts, though the trials differ
+    settled = Policy(Raffle.task, np.array([[0.5, -0.5]]), kind="value")
+    guard = Guard("losses", share=0.5, on_hurts="report")
+    stage = Stage("raffle", Raffle.task, Raffle(), ValueLearning(epsilon=0.1), trials=160, guard=guard)
+    runs, pairs, evidence = 150, [], []
+    told: Counter = Counter()
+    for seed in range(runs):
+        report = Curriculum([stage]).run(seed, initial=settled).guards["raffle"]
+        told[report.verdict] += 1
+        pairs.append(report.pairs)
+        evidence.append(report.evidence)
+    assert min(pairs) >= 70
+    allowed = runs * 0.05 + 3 * np.sqrt(runs * 0.05 * 0.95)
+    assert told["helps"] <= allowed
+    assert told["hurts"] <= allowed
+    assert sum(max(e) > 2 for e in evidence) > 5  # there are differences, and they do add up now and then
+
+
+def guarded(guard: Guard, trials: int):
+    learner = ValueLearning("sarsa", 0.2, discount=1.0, epsilon=0.1)
+    safe = Gate.task.simplify(fix={"shut": 0})
+    stages = [
+        Stage("open", safe, Gate(False), learner, trials=60),
+        Stage("gate", Gate.task, Gate(), learner, trials=trials, guard=guard),
+    ]
+    return Curriculum(stages, block=5).run(0)
+
+
+def test_the_guard_sees_harm_and_falls_back() -> None:
+    # what is transferred is sure of the opposite of the truth: always stand, gate open or not
+    wrong = Policy(Gate.task, np.array([[100.0, -100.0]] * 6), kind="value")
+    learner = ValueLearning("sarsa", 0.02, discount=1.0, epsilon=0.1)
+    stage = Stage("gate", Gate.task, Gate(), learner, trials=400, guard=Guard("return", 0.2))
+    run = Curriculum([stage], block=5).run(1, initial=wrong)
+    report = run.guards["gate"]
+    assert report.verdict == "hurts"
+    assert "fell back to the control" in str(report)
+    entries = {e.learner: e for e in run.ledger.entries}
+    assert entries["control"].trials > 0.2 * 400
+    assert entries["control"].trials + entries["transferred"].trials == 400
+    assert run.at_the_end("gate") is run.outcomes["gate (control)"]
+    assert run.at_the_end("gate").success[-20:].mean() > 0.8
+
+
+def test_on_harm_trust_may_decay_instead() -> None:
+    wrong = Policy(Gate.task, np.array([[100.0, -100.0]] * 6), kind="value")
+    learner = ValueLearning("sarsa", 0.02, discount=1.0, epsilon=0.1)
+    guard = Guard("return", 0.3, on_hurts="decay")
+    stage = Stage("gate", Gate.task, Gate(), learner, trials=300, guard=guard)
+    run = Curriculum([stage], block=5).run(1, initial=wrong)
+    actions = run.guards["gate"].actions
+    assert actions
+    assert all(action.startswith("moved half-way") for action in actions)
+    assert run.policy.weights[:, 0].max() < 100 / 2 ** (len(actions) - 1)
+    only_told = replace(stage, guard=replace(guard, on_hurts="report"))
+    silent = Curriculum([only_told], block=5).run(1, initial=wrong).guards["gate"]
+    assert (silent.verdict, silent.actions) == ("hurts", [])
+
+
+def test_the_control_keeps_to_its_share_and_pairs_are_of_one_age() -> None:
+    run = guarded(Guard("losses", 0.25), trials=200)
+    control = next(e for e in run.ledger.entries if e.learner == "control")
+    assert control.trials == pytest.approx(50, abs=5)
+    assert run.guards["gate"].pairs == control.trials
+    scratch = learn_values(
+        Gate(), trials=control.trials, learning=ValueLearning("sarsa", 0.2, discount=1.0, epsilon=0.1)
+    )
+    assert np.array_equal(run.outcomes["gate (control)"].losses, scratch.outcomes.losses)
+
+
+def test_windows_of_steps() -> None:
+    steps = np.array([3, 4, 5, 10, 2])
+    outcomes = StepOutcomes(steps, np.ones(5, bool), np.array([1, 2, 3, 4, 5]), 10, np.arange(5.0))
+    # trials end after 3, 7, 12, 22 and 24 steps; two windows of 10 are full
+    assert Guard("losses", window=10).scores(outcomes) == [-3.0, -3.0]
+    assert Guard("return", window=8).scores(outcomes) == [1.0, 2.0, 7.0]
+    assert Guard("losses").scores(outcomes) == [-1, -2, -3, -4, -5]
+
+
+# -- the verdict over seeds ----------------------------------------------------------------------------------
+
+
+def test_a_comparison_says_what_paid() -> None:
+    comparison = compare(corridor_curriculum(), seeds=20, first=5, threshold=8)
+    losses = comparison.finding("losses, all stages, equal total budget")
+    assert losses.told == "helps"
+    assert losses.curriculum < losses.direct
+    assert comparison.finding("jumpstart (steps, first 5 trials)").told == "helps"
+    assert comparison.ledger["open"] == 0
+    assert comparison.until is not None
+    assert comparison.until.curriculum < comparison.until.direct
+    assert comparison.until.curriculum_reached == 1
+    assert "median losses until 8 is reached" in str(comparison)
+    assert "20 seeds" in str(comparison)
+    assert comparison.to_json()["findings"][0]["verdict"] == "helps"
+    assert comparison.policy.task == Corridor.task
+
+
+def test_a_curriculum_without_transfer_is_no_help() -> None:
+    # one stage only: both arms are the same learner, seed by seed
+    model = random_model(8)
+    comparison = compare(Curriculum([Stage("only", model.task, model, ValueLearning(), trials=30)]), seeds=5)
+    assert {f.told for f in comparison.findings} == {"can't tell"}
+    assert all(f.curriculum == f.direct for f in comparison.findings)
+
+
+# -- mistakes ------------------------------------------------------------------------------------------------
+
+
+class Trap:
+    """A world that must not be run."""
+
+    task = Corridor.task
+
+    def run(self, *_, **__) -> Outcomes:
+        raise AssertionError("trained before the mistake was found")
+
+
+GOOD = Stage("gate", Corridor.task, Trap(), trials=5)
+BY_VALUE = Stage("gate", Gate.task, Gate(), ValueLearning(), trials=5)
+OTHER = Task("other", (Variable("place", (0, 1, 2)), Variable("shut", ("no", "yes"))), Corridor.task.outputs)
+
+
+@pytest.mark.parametrize(
+    ("stages", "options", "message"),
+    [
+        ([], {}, "has no stages"),
+        ([GOOD, GOOD], {}, "same name"),
+        ([replace(GOOD, trials=None)], {}, "stage 'gate': has no budget"),
+        ([replace(GOOD, trials=0)], {}, "stage 'gate', trials: expected a whole number of at least 1"),
+        ([replace(GOOD, max_losses=0)], {}, "stage 'gate', max_losses: expected a whole number of at least 1"),
+        ([replace(GOOD, rehearsal=True, max_losses=5)], {}, "a rehearsal loses nothing"),
+        ([GOOD], {"max_losses": 0}, "curriculum, max_losses: expected a whole number of at least 1"),
+        ([GOOD], {"best_by": ["luck"]}, "best_by: expected losses"),
+        ([replace(GOOD, repeats=2)], {}, "a sweep .* has its own budget"),
+        ([replace(BY_VALUE, trials=None, repeats=2)], {}, "a sweep reinforces weights"),
+        ([replace(GOOD, learner=ValueLearning())], {}, "whole trials only"),
+        ([replace(GOOD, prior=[swap("go", when={"shut": 3})])], {}, "'shut' has no value 3"),
+        ([replace(GOOD, prior=[swap("come")])], {}, "no variable 'come'"),
+        ([replace(GOOD, task=OTHER)], {}, "neither equal to nor a simplification of 'corridor': input 'shut'"),
+        (
+            [replace(GOOD, name="a", task=OTHER, world=type("W", (Trap,), {"task": OTHER})()), GOOD],
+            {},
+            "stage 'a' cannot lead to 'gate'.*input 'shut' has the values",
+        ),
+        ([GOOD, replace(GOOD, name="b", task=simple_task())], {}, "input 'shut' of 'corridor' is not in"),
+        ([replace(BY_VALUE, name="a"), replace(GOOD, task=Gate.task, world=Gate())], {}, "one learns values"),
+        ([replace(BY_VALUE, trust=5)], {}, "give the learner a step_power"),
+        ([replace(GOOD, trust=-1)], {}, "trust: expected a number above 0"),
+        ([replace(GOOD, trust=2, task=Corridor.task.simplify(signals=(), time_reward=0))], {}, "no signal to measure"),
+    ],
+)
+def test_mistakes_are_named_before_anything_is_trained(stages: list, options: dict, message: str) -> None:
+    with pytest.raises(TaskliftError, match=message):
+        Curriculum(stages, **options).run()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Guard("luck"), "measure: expected one of losses"),
+        (lambda: Guard(on_hurts="cry"), "on_hurts: expected one of fall back"),
+        (lambda: Guard(share=0), "share: expected more than 0"),
+        (lambda: Guard(share=0.7), "share: expected more than 0 and at most 0.5"),
+        (lambda: Guard(alpha=1), "alpha: an error rate"),
+        (lambda: Guard(bound=0), "bound: expected a number above 0"),
+        (lambda: Guard(window=0), "window: expected a whole number"),
+        (lambda: Guard("steps", window=5), "windows have equally many steps"),
+        (lambda: SequentialTest().update(2), "from -1 to 1"),
+        (lambda: compare(corridor_curriculum(), seeds=1), "seeds: expected a whole number of at least 2"),
+        (lambda: compare(Curriculum([corridor_curriculum().stages[0]]), seeds=2), "the last stage is a sweep"),
+        (lambda: compare(corridor_curriculum(), seeds=2, performance="return"), "no returns"),
+    ],
+)
+def test_other_mistakes_are_named(make, message: str) -> None:
+    with pytest.raises(TaskliftError, match=message):
+        make()

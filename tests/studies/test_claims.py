@@ -1,0 +1,114 @@
+"""The judge of the claims: it must be able to say all three verdicts, and for the right reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tasklift import stats
+from tasklift.studies.paper.claims import CLAIMS, Sample, evaluate, excess_teams, holm_adjusted, trials_to_level
+
+
+def sample(rng, *, steps=300.0, losses=5.0, n=12, trials=60, spread=20.0, greedy=250.0, teams_per_robot=0.8):
+    """An arm with known means: what the judge is given, without any simulator."""
+    robots = 15 - rng.poisson(losses, (n, trials)).clip(0, 15)
+    level = rng.normal(steps, spread, (n, trials)).clip(1, 600)
+    return Sample(
+        maps=np.repeat([f"map {i}" for i in range(3)], n // 3),
+        steps=level,
+        losses=15.0 - robots,
+        robots_left=robots.astype(float),
+        teams_left=np.rint(teams_per_robot * robots),
+        success=(level < 600).astype(float),
+        limit=600,
+        n_robots=15,
+        greedy_steps=rng.normal(greedy, 5, n),
+        greedy_losses=np.zeros(n),
+        move_weights=np.ones((n, 3, 5, 2)) + rng.normal(0, 0.01, (n, 3, 5, 2)),
+    )
+
+
+def verdicts(samples):
+    return {(f.claim, f.contrast): f.verdict for f in evaluate(samples, "test", resamples=500)}
+
+
+def test_a_better_arm_is_told_from_a_worse_one_and_from_an_equal_one():
+    rng = np.random.default_rng(0)
+    direct = sample(rng)
+    better = verdicts({"direct": direct, "copy": sample(rng, steps=200, losses=2, teams_per_robot=0.5)})
+    worse = verdicts({"direct": direct, "copy": sample(rng, steps=420, losses=9, teams_per_robot=1.0)})
+    for claim in ("C4", "C6", "C8"):
+        assert better[claim, "copy − direct"] == "holds"
+        assert worse[claim, "copy − direct"] == "does not hold"
+    assert better["C12", "copy − direct"] == "holds"
+    assert worse["C12", "copy − direct"] == "does not hold"
+    same = verdicts({"direct": direct, "copy": direct})
+    # identical arms differ by exactly nothing: the claim of a difference does not hold
+    assert same["C4", "copy − direct"] == "does not hold"
+    alike = verdicts({"direct": direct, "copy": sample(rng)})
+    assert alike["C4", "copy − direct"] == "undecided"
+
+
+def test_c9_reads_the_weights_of_the_right_feature():
+    rng = np.random.default_rng(1)
+    arm = sample(rng)
+    weights = np.ones((12, 3, 5, 2))
+    weights[:, :, 0, 1] = 2.0  # move where there is no feature
+    weights[:, :, 3, 0] = 2.0  # stop at the enemy feature
+    weights[:, 2, 3, 1] = 1.5  # but with m weapon robots move there more than without
+    arm = Sample(**{**arm.__dict__, "move_weights": weights})
+    found = verdicts({"direct": sample(rng), "copy": arm})
+    assert [found[c, "copy"] for c in ("C9a", "C9b", "C9c")] == ["holds"] * 3
+    turned = Sample(**{**arm.__dict__, "move_weights": weights[..., ::-1]})
+    found = verdicts({"direct": sample(rng), "copy": turned})
+    assert [found[c, "copy"] for c in ("C9a", "C9b")] == ["does not hold"] * 2
+
+
+def test_c7b_says_where_the_papers_eleven_falls():
+    rng = np.random.default_rng(2)
+    arm = sample(rng, trials=100)
+
+    def keeping(counts):
+        robots = np.full((12, 100), 10.0)
+        for row, count in zip(robots, counts, strict=True):
+            row[:count] = 15
+        return Sample(**{**arm.__dict__, "robots_left": robots})
+
+    assert verdicts({"direct": keeping([5, 8, 9, 10, 11, 12, 13, 15, 9, 8, 20, 11])})["C7b", "direct"] == "holds"
+    assert verdicts({"direct": keeping([0, 1, 2, 3, 1, 0, 2, 1, 0, 1, 2, 1])})["C7b", "direct"] == "does not hold"
+
+
+def test_excess_teams_ignores_how_many_robots_are_left():
+    rng = np.random.default_rng(3)
+    few, many = sample(rng, losses=9), sample(rng, losses=1)
+    a, b = excess_teams(few, many)  # the same number of teams per robot left, other numbers of robots
+    difference = stats.paired_difference(a, b, strata=few.maps)
+    assert abs(difference.estimate) < 0.05
+    assert abs(few.teams_left.mean() - many.teams_left.mean()) > 3
+
+
+def test_trials_to_level_is_censored_at_the_last_trial():
+    rng = np.random.default_rng(4)
+    reference = sample(rng, steps=200, spread=1)
+    never = sample(rng, steps=500, spread=1)
+    assert (trials_to_level(never, reference) == 60).all()
+    assert (trials_to_level(sample(rng, steps=150, spread=1), reference) == 10).all()
+
+
+def test_every_finding_has_a_claim_and_adjusted_p_values_are_not_smaller():
+    rng = np.random.default_rng(5)
+    arms = {name: sample(rng) for name in ("direct", "direct+budget", "copy", "prior", "copy+prior")}
+    findings = evaluate(arms, "test", resamples=200)
+    assert {f.claim for f in findings} <= set(CLAIMS)
+    for finding, adjusted in zip(findings, holm_adjusted(findings), strict=True):
+        assert (finding.p is None) == (adjusted is None)
+        if adjusted is not None:
+            assert adjusted >= finding.p
+
+
+def test_the_resampling_seed_is_fixed():
+    rng = np.random.default_rng(6)
+    arms = {"direct": sample(rng), "copy": sample(rng)}
+    once, again = (evaluate(arms, "test", resamples=200) for _ in range(2))
+    assert [f.interval for f in once] == [f.interval for f in again]
+    assert once[0].interval.low != pytest.approx(once[0].interval.high)

@@ -1,0 +1,279 @@
+"""Drills: the comparison is fair (equal totals, paired), the verdict can say all it should, the command is whole."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasklift.building.generate import generate
+from tasklift.building.mission import SCOUT, WEAPON, Mission, hostile_candidates
+from tasklift.cli import main as cli
+from tasklift.errors import TaskliftError
+from tasklift.lab import FILE_NAME, Cell, CellResult, Store, run
+from tasklift.learning.reinforcement import DRILL_STAGE, Reinforcement, reinforce
+from tasklift.studies.arms import LOSS_SIGNAL
+from tasklift.studies.drills import report as drill_report
+from tasklift.studies.drills.report import BEGIN, END, Sample, chosen, contrast, headline, paste, times, times_fewer
+from tasklift.studies.drills.study import (
+    CHOSEN,
+    COUNTED,
+    DOORS,
+    SELECTIONS,
+    VARIANTS,
+    WAYS,
+    Drilling,
+    Drills,
+    Part,
+    buildings,
+    choosing,
+    direct_name,
+    drilled,
+    further_arms,
+    main_arms,
+    study,
+)
+from tasklift.tasks.policy import Policy
+
+HOUSE = generate(intersections=5, corridors=5, rooms=2, features=6, doors=4, seed=1)
+
+
+@pytest.fixture(scope="module")
+def mission():
+    return Mission(HOUSE, {SCOUT: 3, WEAPON: 3}, hostiles=1)
+
+
+# --- what is trained
+
+
+def test_drills_repel_and_their_hostiles_stand_where_they_are_said_to(mission):
+    worlds = {where: Drilling(hostiles=where).world(mission) for where in ("same", "relocated", "every door")}
+    for world in worlds.values():
+        assert world.reading.drill
+        outcomes = reinforce(
+            world, Policy.equal(world.task), trials=20, seed=0, stage=DRILL_STAGE, reinforcement=Reinforcement()
+        ).outcomes
+        assert outcomes.losses.sum() > 0  # would-be losses are booked
+        assert (outcomes.robots_left.sum(axis=1) == mission.n_robots).all()  # and nobody is lost
+    assert worlds["every door"].hostiles == tuple(hostile_candidates(HOUSE))
+    assert worlds["relocated"].reading.relocate
+    assert not worlds["same"].reading.relocate
+    assert not mission.reading.drill
+
+
+def test_drills_in_parts_are_the_drills_in_one_go(mission):
+    world = Drilling().world(mission)
+    start = Policy.equal(world.task)
+    whole, once = drilled(world, start, Drilling(30), seed=3)
+    parts, twice = drilled(world, start, Drilling(30, q=(0.0, 0.0, 0.0)), seed=3)
+    assert np.array_equal(whole.weights, parts.weights)
+    assert np.array_equal(once.losses, twice.losses)
+    rules = Reinforcement(selection="exploration", loss_signal=LOSS_SIGNAL)
+    plain = reinforce(world, start, trials=30, seed=3, stage=DRILL_STAGE, reinforcement=rules)
+    assert np.array_equal(whole.weights, plain.policy.weights)
+    annealed, _ = drilled(world, start, Drilling(30, q=(0.0, 0.5, 0.9)), seed=3)
+    assert not np.array_equal(whole.weights, annealed.weights)
+
+
+def test_every_arm_has_a_direct_learner_of_the_same_signals_selection_and_total():
+    for selection in SELECTIONS:
+        for arms, trials in ((main_arms(selection), COUNTED + 300), (further_arms(), COUNTED + 1000)):
+            direct = WAYS[direct_name(trials, selection)]
+            for name in arms:
+                way = WAYS[name]
+                if way.selection == selection:
+                    assert direct.rules() == way.rules()
+                    assert way.rules().loss_signal == LOSS_SIGNAL
+                    assert way.total <= direct.total == direct.trials
+    for name in main_arms("q = .9"):
+        assert WAYS[name].total == COUNTED + 300
+    assert {WAYS[f"{start}→drill 80, q = .9"].total for start in ("copy", "copy+prior")} == {COUNTED + 300}
+
+
+def test_the_chosen_drills_are_among_those_tried_and_on_other_maps():
+    assert CHOSEN in VARIANTS
+    reported = study(maps=12, seeds=2, hostiles=(1, 2))
+    assert not {b.content_id for b in choosing().buildings.values()} & {
+        b.content_id for b in reported.buildings.values()
+    }
+    assert all(len(hostile_candidates(b)) == DOORS for b in reported.buildings.values())
+
+
+def test_a_cell_does_not_depend_on_what_was_computed_before_it():
+    arms = ("drill 300, q = .9", "every-door drill 300, q = .9", "every-door drill 300, exploitation",
+            "copy→drill 80, q = .9", "copy→every-door drill 80, q = .9", "prior, q = .9")  # fmt: skip
+
+    def plan():
+        return Drills({"house": HOUSE}, (Part((1, 2), 1, arms),), team={SCOUT: 2, WEAPON: 3}, limit=60)
+
+    together = plan()
+    results = {cell: together.work(cell) for cell in together.cells()}
+    assert len(results) == 2 * len(arms)
+    for cell, result in results.items():
+        alone = plan().work(cell)
+        assert alone.summary == result.summary
+        for stage, columns in result.stages.items():
+            for name, values in columns.items():
+                assert np.array_equal(values, alone.stages[stage][name])
+    # a hostile at every door: the same drills, however many there are on T
+    pair = [results[Cell(f"{h}", "house", 0, arms[1])] for h in ("1 hostile", "2 hostiles")]
+    assert np.array_equal(*(result.stages["drill"]["losses"] for result in pair))
+    ledger = results[Cell("1 hostile", "house", 0, "copy→drill 80, q = .9")].stages
+    assert {stage: len(columns["losses"]) for stage, columns in ledger.items()} == {
+        "source": 220, "drill": 80, "target": 100,
+    }  # fmt: skip
+    assert ledger["source"]["losses"].sum() == 0
+
+
+def test_mistakes_are_refused_before_training():
+    with pytest.raises(TaskliftError, match="unknown arm"):
+        Drills({"house": HOUSE}, (Part((1,), 1, ("drill",)),))
+    with pytest.raises(TaskliftError, match="door"):
+        study(maps=1, seeds=1, hostiles=(DOORS + 1,))
+
+
+# --- what is concluded
+
+
+def arm(rng, *, losses, solved, trials=COUNTED, spread=0.3, maps=4, seeds=10):
+    n = maps * seeds
+    level = losses * rng.lognormal(0, spread, (n, 1))
+    return Sample(
+        maps=np.repeat([f"map {i}" for i in range(maps)], seeds),
+        losses=rng.poisson(level, (n, trials)).astype(float),
+        steps=np.full((n, trials), 300.0),
+        success=(rng.random((n, trials)) < solved).astype(float),
+        would_be=None,
+    )
+
+
+DRILL = main_arms("q = .9")[1]
+
+
+def judged(first, second):
+    return contrast(first, second, name=DRILL, hostiles=1, resamples=500)
+
+
+def test_all_three_verdicts_for_the_right_reason():
+    rng = np.random.default_rng(0)
+    direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
+    better = judged(arm(rng, losses=0.2, solved=0.95), direct)
+    assert better.holds
+    assert better.verdict(better.late_share) == "holds"
+    assert better.all_share.low < 1 / (1 + 20) < better.all_share.high  # 100 x .2 against 400 x 1
+    # fewer in all, since drills lose nobody, and yet more in the last 100 trials: both are said
+    late = judged(arm(rng, losses=2.0, solved=0.95), direct)
+    assert late.holds
+    assert late.verdict(late.late_share) == "does not hold"
+    assert "more" in headline([late])[0]
+    # who never moves loses nothing, and solves nothing
+    still = judged(arm(rng, losses=0.0, solved=0.0), direct)
+    assert still.verdict(still.all_share) == "does not hold"
+    assert times_fewer(still.all_share) == "∞ [∞, ∞]"
+    worse = judged(arm(rng, losses=8.0, solved=0.95), direct)
+    assert worse.verdict(worse.all_share) == "does not hold"
+    # as many losses, from the same runs in another order
+    same = judged(replace(arm(rng, losses=1.0, solved=0.95), losses=4 * direct.losses[::-1, :COUNTED]), direct)
+    assert same.verdict(same.all_share) == "undecided"
+
+
+def test_the_headline_names_what_holds_or_that_nothing_does():
+    rng = np.random.default_rng(1)
+    direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
+    good = judged(arm(rng, losses=0.2, solved=0.95), direct)
+    bad = replace(judged(arm(rng, losses=8.0, solved=0.5), direct), hostiles=2)
+    line, *others = headline([good, bad])
+    assert not others
+    assert "times fewer with 1 hostile." in line
+    assert times_fewer(good.all_share) in line
+    assert "Not so with 2 hostiles" in line
+    assert headline([bad])[0].startswith("**No contrast")
+    assert "drill 300: no contrast holds" in headline([bad])[1]
+    other = replace(good, arm=main_arms("q = .9")[2], lost=0.0)
+    assert [says[2:].partition(":")[0] for says in headline([good, bad, other])] == [
+        "every-door drill 300",
+        "drill 300",
+    ]
+
+
+def test_times_fewer_is_the_ratio_of_means():
+    first, second = np.array([1.0, 0.0, 2.0]), np.array([10.0, 20.0, 30.0])
+    share = drill_report.share_of_losses(first, second)
+    assert (1 - share) / share == pytest.approx(second.mean() / first.mean())
+    assert times(float(share)) == "20"
+    assert times(0.5) == "1.0"
+    assert drill_report.share_of_losses(np.zeros(3), np.zeros(3)) == 0.5
+
+
+def test_unpaired_or_too_short_references_are_refused():
+    rng = np.random.default_rng(2)
+    with pytest.raises(TaskliftError, match="expected 400 paired"):
+        judged(arm(rng, losses=1, solved=1), arm(rng, losses=1, solved=1, trials=399))
+    with pytest.raises(TaskliftError, match="paired"):
+        judged(arm(rng, losses=1, solved=1), arm(rng, losses=1, solved=1, trials=400, maps=5, seeds=8))
+
+
+def test_the_rule_that_chooses_the_drills(tmp_path):
+    """Few losses admit a variant, the solved share decides; many losses cannot be made up for."""
+    losses = dict.fromkeys(VARIANTS, 1) | {"every door": 0, "by q = .9": 0}
+    solved = dict.fromkeys(VARIANTS, 1.0) | {"every door": 0.8, "by q = .9": 0.7}
+
+    def work(cell):
+        name = cell.arm.removeprefix("variant: ")
+        success = np.arange(COUNTED) < round(COUNTED * solved[name])
+        ones = np.ones(COUNTED, np.int32)
+        return CellResult(
+            {"target": {"losses": losses[name] * ones, "steps": ones, "success": success}, "drill": {"losses": ones}}
+        )
+
+    plan = replace(choosing(), buildings=buildings(103, 1), parts=(Part((1,), 2, choosing().parts[0].arms),))
+    with Store.open(tmp_path / FILE_NAME, plan.spec()) as store:
+        run(store, plan.cells(), work, workers=1)
+        name, table = chosen(store)
+    assert name == "every door"
+    assert [row[0] for row in table if row[-1]] == ["by q = .9", "every door"]
+
+
+# --- the command
+
+
+def test_the_command_leaves_a_report_a_figure_and_a_page(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "docs" / "drills.md"
+    page.parent.mkdir()
+    page.write_text(f"# Drills\n\n{BEGIN}\n{END}\n\nThe end.\n", encoding="utf-8")
+    asked = ["drills", "--maps", "1", "--seeds", "2", "--hostiles", "2", "--out", "out", "--page", str(page)]
+    pages = []
+    for _ in range(2):
+        monkeypatch.setattr(sys, "argv", ["tasklift", *asked])
+        cli.main()
+        assert "report: out/report.html" in capsys.readouterr().out
+        pages.append(page.read_bytes())
+    assert pages[0] == pages[1]
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("# Drills\n")
+    assert text.endswith("The end.\n")
+    for name in ("| drill 300, q = .9 | 2 |", "| every-door drill 300, exploitation | 2 |", "(pictures/drills.png)"):
+        assert name in text
+    assert (page.parent / "pictures" / "drills.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "out" / "drills.md").read_text(encoding="utf-8") in text
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "tasklift drills --maps 1 --seeds 2 --hostiles 2 --out out" in report
+
+
+def test_a_page_without_marks_and_a_wrong_range_are_refused(tmp_path, monkeypatch, capsys):
+    page = tmp_path / "page.md"
+    page.write_text("no marks\n", encoding="utf-8")
+    with pytest.raises(TaskliftError, match="marks"):
+        paste("results", page)
+    with pytest.raises(TaskliftError, match="marks"):
+        drill_report.drills(out=tmp_path / "out", maps=1, seeds=1, page=page)
+    assert not (tmp_path / "out").exists()
+    for text in ("x", "0-3", "3-1", "-2"):
+        monkeypatch.setattr(sys, "argv", ["tasklift", "drills", "--hostiles", text])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 2
+        assert "range" in capsys.readouterr().err

@@ -1,0 +1,206 @@
+"""Spec files: the examples run, what they say is what happens, and what is wrong in one is named."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tasklift.cli.learn import learn_command
+from tasklift.errors import TaskliftError
+from tasklift.files import parse_json
+from tasklift.studies.spec_file import curriculum_of, read_spec, run_spec
+from tasklift.tasks.policy import Policy
+
+pytest.importorskip("gymnasium")
+FUZZ = settings(
+    deadline=None,
+    derandomize=True,
+    max_examples=250,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+EXAMPLES = Path(__file__).parents[2] / "examples"
+NAMES = sorted(path.name for path in EXAMPLES.glob("*.toml"))
+
+
+def shortened(name: str, folder: Path) -> Path:
+    """The example with small budgets."""
+    text = (EXAMPLES / name).read_text()
+    text = re.sub(r"steps = \d{4,}", "steps = 3000", text)
+    text = re.sub(r"trials = \d{3,}", "trials = 30", text)
+    copy = folder / name
+    copy.write_text(text)
+    return copy
+
+
+def test_there_is_an_example_for_each_case() -> None:
+    assert len(NAMES) >= 7
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(learn_command, [str(shortened(name, tmp_path)), "--seeds", "2", "--out", str(out)])
+    assert result.exception is None
+    assert "curriculum against direct learning, 2 seeds" in result.output
+    told = parse_json((out / "comparison.json").read_text(), "comparison")
+    assert len(told["findings"]) == 6
+    assert (out / "comparison.txt").read_text().strip() in result.output
+    assert np.isfinite(Policy.load(out / "policy.json").weights).all()
+
+
+def test_the_building_example_is_the_papers_experiment() -> None:
+    curriculum = curriculum_of(read_spec(EXAMPLES / "building.toml"))
+    v, t = curriculum.stages
+    assert (v.task.shape, t.task.shape) == ((15, 44), (90, 44))
+    assert v.world.n_hostiles == 0
+    assert (v.repeats, t.trials, t.max_losses) == (5, 100, 600)
+    assert np.unique(v.task.rule_table()).tolist() == [-0.2, 0.0]
+    drill = curriculum_of(read_spec(EXAMPLES / "drill.toml")).stages[0]
+    assert drill.rehearsal
+    assert drill.world.reading.drill
+
+
+def test_the_same_spec_gives_the_same_files_and_another_is_kept_out(tmp_path: Path) -> None:
+    spec = shortened("cliff.toml", tmp_path)
+    one = run_spec(spec, tmp_path / "a", seeds=2)
+    run_spec(spec, tmp_path / "a", seeds=2)
+    run_spec(spec, tmp_path / "b", seeds=2)
+    for name in ("comparison.json", "comparison.txt", "policy.json"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    before = (tmp_path / "a" / "comparison.json").read_bytes()
+    with pytest.raises(TaskliftError, match="holds the results of another spec"):
+        run_spec(spec, tmp_path / "a", seeds=3)
+    assert (tmp_path / "a" / "comparison.json").read_bytes() == before
+    with pytest.raises(TaskliftError, match="is not empty"):
+        run_spec(spec, tmp_path, seeds=2)
+    assert one.seeds == 2
+
+
+def test_a_world_of_ones_own_from_a_python_file(tmp_path: Path) -> None:
+    (tmp_path / "my_little_world.py").write_text(
+        "from tasklift import Step, Task, Variable\n"
+        "class Coin:\n"
+        "    task = Task('coin', (Variable('side', (0, 1)),), (Variable('guess', (0, 1)),))\n"
+        "    limit = 1\n"
+        "    def __init__(self, bias=0.5):\n"
+        "        self.bias = bias\n"
+        "    def start(self, rng):\n"
+        "        self.side = int(rng.random() < self.bias)\n"
+        "        return self.side\n"
+        "    def step(self, output):\n"
+        "        right = output == self.side\n"
+        "        return Step(self.side, float(right), True, int(not right), right)\n"
+    )
+    spec = tmp_path / "coin.toml"
+    spec.write_text(
+        'name = "coin"\nseeds = 5\n[environment]\npython = "my_little_world:Coin"\n[learner]\nrule = "sarsa"\n'
+        'step_size = 0.5\n[[stages]]\nname = "one side"\noptions = { bias = 0.0 }\ntrials = 20\n'
+        '[[stages]]\nname = "both"\ntrials = 60\n'
+    )
+    comparison = run_spec(spec)
+    assert comparison.finding("late return (last 20 trials)").curriculum > 0.8
+    text = spec.read_text().replace("Coin", "Dime")
+    spec.write_text(text)
+    with pytest.raises(TaskliftError, match="cannot find 'my_little_world:Dime'"):
+        run_spec(spec)
+
+
+def test_a_chain_of_three_tasks_and_other_fields(tmp_path: Path) -> None:
+    spec = tmp_path / "chain.toml"
+    text = (EXAMPLES / "building.toml").read_text()
+    middle = '[[stages]]\nname = "no goal"\nfix = { GL = 0 }\ntrials = 5\n\n[[stages]]\nname = "T"'
+    spec.write_text(
+        text.replace('[[stages]]\nname = "T"', middle).replace("fix = { DL = 0, GL = 0 }", "fix = { DL = 0 }")
+    )
+    curriculum = curriculum_of(read_spec(spec))
+    assert [stage.task.shape[0] for stage in curriculum.stages] == [15, 45, 90]
+
+
+VALUES = ["0", "-1", "1.5", "true", '"x"', "[]", "{}", "1e400", "nan", "99999999999999999999", "[1, 2]", "{ a = 1 }"]
+
+
+@FUZZ
+@given(
+    name=st.sampled_from([name for name in NAMES if name != "lake-punished-falls.toml"]),
+    place=st.floats(0, 1, exclude_max=True),
+    change=st.sampled_from(VALUES) | st.integers(0, 255) | st.none(),
+)
+def test_a_damaged_spec_is_refused_or_means_something(name: str, place: float, change, tmp_path: Path) -> None:
+    text = (EXAMPLES / name).read_text()
+    spec = tmp_path / "spec.toml"
+    if change is None:
+        spec.write_text(text[: int(place * len(text))])
+    elif isinstance(change, int):
+        raw = bytearray(text.encode())
+        raw[int(place * len(raw))] = change
+        spec.write_bytes(bytes(raw))
+    else:
+        values = list(re.finditer(r"= ([^\n{}\[\]]+?)(?=[\n,} ])", text))
+        found = values[int(place * len(values))]
+        spec.write_text(text[: found.start(1)] + change + text[found.end(1) :])
+    with contextlib.suppress(TaskliftError):
+        curriculum_of(read_spec(spec), tmp_path)
+
+
+def changed(old: str, new: str, example: str = "cliff.toml") -> str:
+    text = (EXAMPLES / example).read_text()
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name = ", "not valid TOML"),
+        ("", "the field 'name' is missing"),
+        (changed('name = "cliff"', 'name = "cliff"\nnmae = 1'), "unknown field 'nmae'"),
+        (changed('gymnasium = "CliffWalking-v1"', ""), "expected one of gymnasium, building or python"),
+        (changed("CliffWalking-v1", "CliffWalkin-v1"), "Gymnasium cannot make 'CliffWalkin-v1'"),
+        (changed("is_slippery = true", "slippery = true"), "Gymnasium cannot make"),
+        (changed("limit = 200\n", ""), "no limit of steps; give limit="),
+        (changed("loss = { reward = -100 }", "loss = { rewrad = -100 }"), "loss: unknown 'rewrad'"),
+        (changed("row = 4", "row = 5"), "does not split into row \\(5\\) × col \\(12\\)"),
+        (changed("row = 4", "row = 0"), "'row' needs from one to"),
+        (changed("row = 4", 'row = "4"'), "expected a number or a list of values for 'row'"),
+        (changed('rule = "q-learning"', 'rule = "dqn"'), "expected q-learning, sarsa"),
+        (changed("epsilon = 0.1", "epsilom = 0.1"), "learner: unknown field 'epsilom'"),
+        (changed("epsilon = 0.1", "epsilon = 7"), "epsilon: expected 0.0 to 1.0"),
+        (changed("trials = 300", "trials = 0"), "trials: expected a whole number of at least 1"),
+        (changed("trials = 300", ""), "stage 'firm ground': has no budget"),
+        (changed("trials = 300", "trials = 300\nmax_losses = 0"), "max_losses: expected a whole number of at least 1"),
+        (changed("trials = 300", "trials = 300\nfix = { rwo = 1 }"), "no variable 'rwo'"),
+        (changed("trials = 300", "trials = 300\nguard = { share = 2 }"), "guard, share"),
+        (changed("trials = 300", "trials = 300\nguard = { shar = 2 }"), "guard: unknown field 'shar'"),
+        (changed('"V"', '"V"\ntrials = "5"', "building.toml"), "expected int in the field 'trials'"),
+        (changed('operation = "swap"', 'operation = "swop"', "building.toml"), "a prior has an operation: swap"),
+        (changed('output = "MV"', "", "building.toml"), "prior swap: .*output"),
+        (changed("FTR = 4", "FTR = 9", "building.toml"), "stage 'T': .*'FTR' has no value 9"),
+        (changed('team = "10+5"', 'team = "lots"', "building.toml"), "expected SCOUTS\\+WEAPONS"),
+        (changed('team = "10+5"', 'team = "10+1"', "building.toml"), "no team could ever succeed"),
+        (changed("seed = 7", "sed = 7", "building.toml"), "environment, building: .*sed"),
+        (changed("[environment]", "[task]\ninputs = {}\n[environment]", "building.toml"), "brings its own; take"),
+        (
+            changed(
+                "building = { intersections = 21, corridors = 25, rooms = 6, seed = 7 }",
+                'building = "no.json"',
+                "building.toml",
+            ),
+            "cannot be read",
+        ),
+    ],
+)
+def test_mistakes_in_a_spec_are_named_before_anything_is_trained(text: str, message: str, tmp_path: Path) -> None:
+    spec = tmp_path / "spec.toml"
+    spec.write_text(text)
+    with pytest.raises(TaskliftError, match=message) as caught:
+        run_spec(spec, tmp_path / "out")
+    assert "spec.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()

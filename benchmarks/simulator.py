@@ -14,7 +14,10 @@ import numpy as np
 
 from tasklift.building import kernel
 from tasklift.building.generate import generate
-from tasklift.building.mission import PRESETS, SCOUT, WEAPON, Mission, search_only
+from tasklift.building.mission import Mission
+from tasklift.building.reading import PRESETS
+from tasklift.building.search import search_only
+from tasklift.building.team import SCOUT, WEAPON
 from tasklift.learning.reinforcement import Reinforcement, reinforce
 from tasklift.studies.arms import PRIOR, learn_source
 from tasklift.tasks.policy import Policy

@@ -6,7 +6,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tasklift.building.graph import FEATURE, INTERSECTION, ROOM, Building
-from tasklift.building.mission import Kind, Mission, Reading, hostile_candidates
+from tasklift.building.mission import Mission
+from tasklift.building.reading import Reading
+from tasklift.building.search import hostile_candidates
+from tasklift.building.team import Kind
 from tasklift.learning.reinforcement import Reinforcement
 
 readings = st.builds(

@@ -16,15 +16,10 @@ from strategies import missions, reinforcements
 from tasklift.building import kernel
 from tasklift.building.generate import generate
 from tasklift.building.graph import FEATURE
-from tasklift.building.mission import (
-    SCOUT,
-    WEAPON,
-    Kind,
-    Mission,
-    Reading,
-    hostile_candidates,
-    search_only,
-)
+from tasklift.building.mission import Mission
+from tasklift.building.reading import Reading
+from tasklift.building.search import hostile_candidates, search_only
+from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.errors import TaskliftError
 from tasklift.learning.reinforcement import Reinforcement, reinforce
 from tasklift.tasks.policy import Policy
@@ -298,12 +293,19 @@ def expand(mission):
         ({"team": {SCOUT: 0}}, "at least one robot"),
         ({"team": {SCOUT: -1}}, "whole number of at least 0"),
         ({"weapons_needed": 6}, "needs 6 weapon robots, the team has 5"),
-        ({"weapons_needed": 0}, "at least 1"),
+        ({"weapons_needed": 0}, "from 1 to"),
         ({"hostiles": 99}, "has 4 door"),
         ({"hostiles": -1}, "at least 0"),
         ({"hostiles": (0,)}, "is not a feature"),
         ({"hostiles": (30, 30)}, "a node twice"),
-        ({"limit": 0}, "at least 1"),
+        ({"hostiles": (2.5,)}, "whole number from 0 to"),
+        ({"team": "10 and 5"}, "SCOUTS"),
+        ({"team": "²+5"}, "SCOUTS"),
+        ({"team": {"tank": 3}}, "found 'tank'"),
+        ({"team": {"scout": 1, SCOUT: 2}}, "there twice"),
+        ({"team": {"scout": 10**30}}, "at most 100,000"),
+        ({"reading": "scattered"}, "expected a Reading"),
+        ({"limit": 0}, "from 1 to"),
     ],
 )
 def test_impossible_missions_are_refused(change, says):
@@ -315,10 +317,19 @@ def test_impossible_missions_are_refused(change, says):
         Mission(building, **({"team": {SCOUT: 10, WEAPON: 5}} | change))
 
 
+def test_a_team_is_written_in_three_ways():
+    building = generate(seed=3)
+    teams = [Mission(building, team).team for team in ("10+5", {"scout": 10, "weapon": 5}, {SCOUT: 10, WEAPON: 5})]
+    assert teams[0] == teams[1] == teams[2]
+    assert list(Mission(building, {"weapon": 2, "scout": 1}).team) == [WEAPON, SCOUT], "the order given is kept"
+
+
 @pytest.mark.parametrize(
     ("option", "value"),
     [("split", "thirds"), ("patience", 0), ("patience", 1.5), ("alert_range_m", -1.0), ("alert_range_m", float("nan")),
-     ("goal_sharpness", float("inf")), ("drill", "yes"), ("search_rate_m2", 0.0)],
+     ("goal_sharpness", float("inf")), ("drill", "yes"), ("search_rate_m2", 0.0),
+     ("search_rate_m2", 1e-300), ("goal_sharpness", 1e6), ("patience", 10**30), ("patience", True), ("split", ["team"]),
+     ("turn_back", 1)],
 )  # fmt: skip
 def test_unknown_readings_are_refused_by_name(option, value):
     with pytest.raises(TaskliftError, match=option):

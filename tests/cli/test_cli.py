@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tasklift.building.generate import generate
-from tasklift.building.mission import search_and_clear
+from tasklift.building.search import search_and_clear
 from tasklift.cli import main as cli
 from tasklift.lab import FILE_NAME
 from tasklift.tasks.policy import Policy

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tasklift.building.mission import Reading
+from tasklift.building.reading import Reading
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.arms import ARMS
 from tasklift.studies.paper.claims import CLAIMS

@@ -22,7 +22,7 @@ from tasklift.building.graph import (
     ROOM,
     Building,
 )
-from tasklift.building.mission import hostile_candidates
+from tasklift.building.search import hostile_candidates
 from tasklift.errors import TaskliftError
 from tasklift.plans.read.patrolling import read_graph, write_graph
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from tasklift.building.generate import generate
-from tasklift.building.mission import SCOUT, WEAPON, Mission, hostile_candidates
+from tasklift.building.mission import Mission
+from tasklift.building.search import hostile_candidates
+from tasklift.building.team import SCOUT, WEAPON
 from tasklift.cli import main as cli
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Cell, CellResult, Store, run

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasklift.building.generate import generate
-from tasklift.building.mission import Reading
+from tasklift.building.reading import Reading
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Cell, Store, recompute, run
 from tasklift.learning.reinforcement import Reinforcement

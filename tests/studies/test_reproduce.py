@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tasklift.building.generate import generate
-from tasklift.building.mission import PRESETS, search_and_clear, search_only
+from tasklift.building.reading import PRESETS
+from tasklift.building.search import search_and_clear, search_only
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Cell, Store
 from tasklift.learning.reinforcement import Reinforcement

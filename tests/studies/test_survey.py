@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tasklift.building.generate import generate
 from tasklift.building.graph import FEATURE, INTERSECTION, ROOM, Building
-from tasklift.building.mission import SCOUT, WEAPON
+from tasklift.building.team import SCOUT, WEAPON
 from tasklift.errors import TaskliftError
 from tasklift.studies.paper.survey import CA, PROPERTIES, Survey, correlate, map_properties, survey
 
@@ -166,7 +166,7 @@ def test_properties_do_not_depend_on_how_a_map_lies(seed, turn):
 @pytest.fixture(scope="module")
 def many():
     """Forty maps and nothing learned yet."""
-    from tasklift.building.mission import SCATTERED
+    from tasklift.building.reading import SCATTERED
     from tasklift.studies.paper.survey import Surveyed
 
     seeds = np.arange(2)

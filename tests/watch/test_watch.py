@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 from tasklift.building import SCOUT, WEAPON, Building, Mission, generate
-from tasklift.building.mission import COHESIVE, SCATTERED
+from tasklift.building.reading import COHESIVE, SCATTERED
 from tasklift.cli.watch import watch_command
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Spec, Store, run

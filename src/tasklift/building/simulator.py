@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.building import kernel, layout
-from tasklift.building.mission import hostile_candidates
+from tasklift.building.search import hostile_candidates
 from tasklift.errors import TaskliftError
 from tasklift.learning.reinforcement import SWEEP_STAGE, TARGET_STAGE, Outcomes, Reinforcement
 from tasklift.tasks.task import Task

@@ -150,7 +150,8 @@ def _of_building(
     weapons_needed: int,
     limit: int,
 ) -> list[tuple[str, Trace]]:
-    from tasklift.building.mission import PRESETS, SCOUT, WEAPON
+    from tasklift.building.reading import PRESETS
+    from tasklift.building.team import SCOUT, WEAPON
     from tasklift.studies.study import Study
     from tasklift.studies.train import load_building
     from tasklift.tasks.policy import Policy

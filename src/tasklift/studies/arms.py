@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from tasklift.building.mission import ENEMY_FEATURE, Mission, search_only
+from tasklift.building.mission import Mission
+from tasklift.building.search import ENEMY_FEATURE, search_only
 from tasklift.errors import TaskliftError
 from tasklift.learning.reinforcement import Curve, Reinforcement, sweep_curve
 from tasklift.tasks.policy import Policy, swap

@@ -13,8 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.building.graph import Building
-from tasklift.building.mission import SCOUT, WEAPON, Kind, Mission, Reading, search_and_clear
+from tasklift.building.mission import Mission
+from tasklift.building.reading import Reading
+from tasklift.building.search import search_and_clear
 from tasklift.building.simulator import SearchOutcomes
+from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec, grid
 from tasklift.learning.reinforcement import (

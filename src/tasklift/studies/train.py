@@ -8,7 +8,8 @@ import numpy as np
 
 from tasklift import stats
 from tasklift.building.graph import Building
-from tasklift.building.mission import PRESETS, SCOUT, WEAPON
+from tasklift.building.reading import PRESETS
+from tasklift.building.team import SCOUT, WEAPON
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Cell, Progress, Store, run
 from tasklift.lab.runs import export

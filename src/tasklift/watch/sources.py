@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from tasklift.building.generate import generate
 from tasklift.building.graph import Building
-from tasklift.building.mission import Kind, Mission, Reading
+from tasklift.building.mission import Mission
+from tasklift.building.reading import Reading
+from tasklift.building.team import Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, Store
 from tasklift.learning.reinforcement import GREEDY_STAGE, TARGET_STAGE, Reinforcement

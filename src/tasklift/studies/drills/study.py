@@ -21,7 +21,10 @@ from numpy.typing import NDArray
 
 from tasklift.building.generate import generate
 from tasklift.building.graph import Building
-from tasklift.building.mission import SCOUT, WEAPON, Kind, Mission, Reading, hostile_candidates
+from tasklift.building.mission import Mission
+from tasklift.building.reading import Reading
+from tasklift.building.search import hostile_candidates
+from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec
 from tasklift.learning.reinforcement import DRILL_STAGE, TARGET_STAGE, Curve, Outcomes, Reinforcement, reinforce

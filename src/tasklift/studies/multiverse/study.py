@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from tasklift import stats
 from tasklift.building.graph import Building
-from tasklift.building.mission import SCOUT, WEAPON, Kind, Reading
+from tasklift.building.reading import Reading
+from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec, Store, grid
 from tasklift.learning.reinforcement import Reinforcement

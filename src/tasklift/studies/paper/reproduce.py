@@ -9,7 +9,8 @@ import numpy as np
 
 from tasklift.building.generate import generate
 from tasklift.building.graph import INTERSECTION, Building
-from tasklift.building.mission import PRESETS, hostile_candidates
+from tasklift.building.reading import PRESETS
+from tasklift.building.search import hostile_candidates
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import export

@@ -19,16 +19,11 @@ from numpy.typing import NDArray
 
 from tasklift.building.generate import generate
 from tasklift.building.graph import INTERSECTION, ROOM, Building
-from tasklift.building.mission import (
-    SCATTERED,
-    SCOUT,
-    SEARCH_TIME_REWARD,
-    WEAPON,
-    Kind,
-    Mission,
-    Reading,
-)
+from tasklift.building.mission import Mission
+from tasklift.building.reading import SCATTERED, Reading
+from tasklift.building.search import SEARCH_TIME_REWARD
 from tasklift.building.simulator import edge_cost_mm, search_steps
+from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.errors import TaskliftError
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.stats import Interval, Verdict, bootstrap, equivalence, holm, verdict

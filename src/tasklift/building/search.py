@@ -1,0 +1,84 @@
+"""The paper's two tasks in the building, T (Table I) and V (Table II), and where hostiles may be hidden."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from tasklift.building.graph import DOOR, Building
+from tasklift.tasks.task import Signal, Task, Variable
+
+#: The feature class that hides hostiles (the paper's EnemyFTR; Figure 5 shows it at 4).
+ENEMY_FEATURE = DOOR
+
+#: Table III, the signals of the simplified task V.
+SEARCH_SIGNALS = (Signal(-0.2, {"MV": 0}, "stopped while mapping"),)
+SEARCH_TIME_REWARD = 0.2
+
+
+@cache
+def search_and_clear() -> Task:
+    """Return the paper's task T (Table I, 90 × 44 weights) with its signals (Table III).
+
+    Two misprints of Table III are mended. Its ``WPN ≥ 2`` and ``WPN = 0`` mean nWPN, since the output WPN has no
+    such values. Its last row, described as "suspected enemy at a different feature", needs FTR ≠ enemy.
+
+    Examples
+    --------
+    >>> search_and_clear().shape
+    (90, 44)
+    """
+    elsewhere = [ftr for ftr in range(1, 6) if ftr != ENEMY_FEATURE]
+    return Task(
+        name="search and clear",
+        inputs=(
+            Variable("DL", (0, 1, 2), labels=("none", "suspected", "attacked"), meaning="danger level"),
+            Variable("GL", (0, 1), labels=("unknown", "known"), meaning="goal"),
+            Variable(
+                "nWPN",
+                (0, 1, 2),
+                labels=("none", "below m", "m or more"),
+                meaning="weapon robots in the team",
+            ),
+            Variable(
+                "FTR",
+                (1, 2, 3, 4, 5),
+                labels=("none", "bend", "corner", "door", "other"),
+                meaning="feature faced",
+            ),
+        ),
+        outputs=(
+            Variable("MV", (0, 1), labels=("stop", "move"), meaning="stop or move"),
+            Variable("WPN", (0, 1), labels=("deny", "accept"), meaning="keep to the weapon robots' speed"),
+            Variable("CA", tuple(i / 10 for i in range(11)), meaning="coverage coefficient"),
+        ),
+        signals=(
+            Signal(-0.1, {"MV": 0, "nWPN": 2}, "never stop when enough weapon robots"),
+            Signal(+0.1, {"MV": 0, "nWPN": 0, "FTR": ENEMY_FEATURE}, "stopped near a correct feature"),
+            Signal(-0.1, {"MV": 0, "FTR": elsewhere}, "suspected enemy at a different feature"),
+        ),
+        impossible=({"WPN": 1, "nWPN": 0},),
+        impossible_signal=-0.5,
+        time_reward=0.1,
+    )
+
+
+def search_only(task: Task) -> Task:
+    """Return the paper's task V (Table II, 15 × 44 weights): ``task`` with no danger and no goal.
+
+    Examples
+    --------
+    >>> search_only(search_and_clear()).shape
+    (15, 44)
+    """
+    return task.simplify(fix={"DL": 0, "GL": 0}, name="search", signals=SEARCH_SIGNALS, time_reward=SEARCH_TIME_REWARD)
+
+
+def hostile_candidates(building: Building) -> list[int]:
+    """Return the doors that are not next to the start, ascending: where hostiles may be hidden (rule 14)."""
+    start = building.start
+    beside = {int(v) for v in building.neighbour[building.indptr[start] : building.indptr[start + 1]]}
+    return [
+        node
+        for node in range(building.n_nodes)
+        if building.feature_class[node] == ENEMY_FEATURE and node not in beside and node != start
+    ]

@@ -1,0 +1,107 @@
+"""Kinds of robots, and the ways in which a team is written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tasklift.errors import TaskliftError
+
+#: The most robots in one team, and the fastest robot (mm per step): beyond that is a mistake in the units.
+LARGEST_TEAM, LARGEST_SPEED_MM = 100_000, 10**9
+
+
+@dataclass(frozen=True, order=True)
+class Kind:
+    """A kind of robot.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    speed_mm : int
+        Millimetres per step, at least 1. Motion is exact integer arithmetic.
+    armed : bool
+        Whether it counts as a weapon robot.
+
+    Raises
+    ------
+    TaskliftError
+        For an empty name, a speed that is not a whole number of millimetres, or an ``armed`` that is not a truth value.
+
+    Examples
+    --------
+    >>> Kind("crawler", speed_mm=700, armed=True)
+    Kind(name='crawler', speed_mm=700, armed=True)
+    """
+
+    name: str
+    speed_mm: int
+    armed: bool
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise TaskliftError(f"kind: expected a name, found {self.name!r}")
+        whole = isinstance(self.speed_mm, int) and not isinstance(self.speed_mm, bool)
+        if not whole or not 1 <= self.speed_mm <= LARGEST_SPEED_MM:
+            raise TaskliftError(
+                f"kind {self.name!r}: speed_mm must be a whole number of millimetres per step "
+                f"from 1 to {LARGEST_SPEED_MM}, found {self.speed_mm!r}"
+            )
+        if not isinstance(self.armed, bool):
+            raise TaskliftError(f"kind {self.name!r}: armed must be True or False, found {self.armed!r}")
+
+
+#: The paper's two kinds (section VI: velocities 1.5 and 1.0).
+SCOUT = Kind("scout", 1500, armed=False)
+WEAPON = Kind("weapon", 1000, armed=True)
+
+Team = dict[Kind, int]
+
+
+def parse_team(team: str | Mapping[Any, Any], where: str = "team") -> Team:
+    """Return how many robots there are of each kind.
+
+    Parameters
+    ----------
+    team : str or mapping
+        ``"10+5"``: scouts + weapon robots. Or ``{kind: number}``, where a kind is a :class:`Kind`, ``"scout"`` or
+        ``"weapon"``. The order of a mapping is the order in which robots are numbered.
+    where : str
+        What the error message begins with: the option or the field that holds the team.
+
+    Raises
+    ------
+    TaskliftError
+        For another spelling, an unknown or doubled kind, a number that is not whole or is negative, no robot at all,
+        or more than :data:`LARGEST_TEAM` robots.
+
+    Examples
+    --------
+    >>> parse_team("10+5") == {SCOUT: 10, WEAPON: 5} == parse_team({"scout": 10, "weapon": 5})
+    True
+    """
+    if isinstance(team, str):
+        spelled = re.fullmatch(r"([0-9]{1,9})\+([0-9]{1,9})", team.strip(), re.ASCII)
+        if spelled is None:
+            raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, found {team[:40]!r}")
+        team = {SCOUT: int(spelled[1]), WEAPON: int(spelled[2])}
+    if not isinstance(team, Mapping):
+        raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, or {{kind: number}}, found {team!r}")
+    known = {kind.name: kind for kind in (SCOUT, WEAPON)}
+    found: Team = {}
+    for given, number in team.items():
+        kind = known.get(given) if isinstance(given, str) else given
+        if not isinstance(kind, Kind):
+            raise TaskliftError(f"{where}: expected a Kind, 'scout' or 'weapon', found {given!r}")
+        if kind in found:
+            raise TaskliftError(f"{where}: the kind {kind.name!r} is there twice")
+        if not isinstance(number, int) or isinstance(number, bool) or number < 0:
+            raise TaskliftError(f"{where}, {kind.name}: expected a whole number of at least 0, found {number!r}")
+        found[kind] = number
+    if not 1 <= sum(found.values()) <= LARGEST_TEAM:
+        robots = "none" if not sum(found.values()) else f"{sum(found.values()):,}"
+        raise TaskliftError(f"{where}: expected at least one robot and at most {LARGEST_TEAM:,}, found {robots}")
+    return found

@@ -1,67 +1,252 @@
-"""Reading and writing the project's JSON files: versioned, checked, and never half-written."""
+"""Reading and writing files: bounded and checked when read; never half-written, never overwritten unasked."""
 
 from __future__ import annotations
 
 import json
 import os
-import tempfile
+import re
+import secrets
+import stat
+import tomllib
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, TypeAlias
 
+from tasklift.checks import plain
 from tasklift.errors import TaskliftError
+from tasklift.text import shown
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: leftovers of killed writers stay there
+    fcntl = None  # type: ignore[assignment]
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+LARGEST_FILE = 32_000_000
+"""Bytes of the largest document that is read. Parsed, 32 MB of JSON take up to 0.7 GB."""
+
+LARGEST_TOML = 256_000
+
+_PART = re.compile(r"\.tasklift-[0-9a-f]{16}\.part")
+
+# -- writing -----------------------------------------------------------------------------------------------
 
 
-def write_atomically(path: str | os.PathLike[str], data: str | bytes) -> None:
-    """Write ``data`` to ``path`` so that a reader sees the old file or the whole new one, never a part.
+@contextmanager
+def writing(path: PathLike, *, replace: bool = True) -> Iterator[IO[bytes]]:
+    """Open a binary file to write ``path`` with, so that a reader sees the old file or the new one, never a part.
+
+    The bytes go to a temporary file of an unpredictable name in the same folder, which takes the place of
+    ``path`` at the end. Temporary files that a killed process left in the folder are removed first.
+
+    Parameters
+    ----------
+    path
+        The file. A link there is replaced, not followed.
+    replace
+        Whether a file that is there may be replaced.
 
     Raises
     ------
     TaskliftError
-        If the folder does not exist or cannot be written to; whatever was at ``path`` is still there.
+        If the folder does not exist or cannot be written to, or there is a file that may not be replaced;
+        whatever was at ``path`` is still there.
     """
     target = Path(path)
-    raw = data.encode() if isinstance(data, str) else data
+    if "\0" in str(target):
+        raise TaskliftError(f"{target}: cannot be a file's name")
     temporary: str | None = None
     try:
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-        with os.fdopen(handle, "wb") as file:
-            file.write(raw)
+        _remove_leftovers(target.parent)
+        file, temporary = _temporary(target.parent)
+        with file:
+            yield file
             file.flush()
             os.fsync(file.fileno())
-        # mkstemp makes the file private; give it the mode an ordinary new file would have
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, target)
+            if fcntl is None:
+                file.close()  # Windows renames no open file
+            if replace:
+                os.replace(temporary, target)
+            else:
+                _place(temporary, target)
+    except FileExistsError as error:
+        raise TaskliftError(_is_there(target)) from error
     except OSError as error:
-        raise TaskliftError(
-            f"{target}: cannot be written ({error.strerror}); choose another place"
-        ) from error
+        raise TaskliftError(f"{target}: cannot be written ({error.strerror}); choose another place") from error
     finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+        if temporary is not None:
+            with suppress(OSError):
+                os.unlink(temporary)
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of ``path``, or raise :class:`TaskliftError` saying why it cannot be read."""
+def write_atomically(path: PathLike, data: str | bytes, *, replace: bool = True) -> None:
+    """Write ``data`` to ``path`` in one go; see :func:`writing`."""
+    with writing(path, replace=replace) as file:
+        file.write(data.encode() if isinstance(data, str) else data)
+
+
+def output_file(path: PathLike, suffixes: Collection[str] = (), *, force: bool = False,
+                reads: Iterable[PathLike] = ()) -> Path:  # fmt: skip
+    """Return the path if a command may write its output there, and say why not otherwise.
+
+    Parameters
+    ----------
+    path
+        Named by the user, or the command's default.
+    suffixes
+        What its name may end in, such as ``(".csv",)``; capital letters do not matter.
+    force
+        Whether a file that is there may be replaced. Pass it on to :func:`writing`, too.
+    reads
+        Files that the command reads: these are never written, with ``force`` neither.
+    """
+    target = Path(path)
+    if suffixes and not target.name.lower().endswith(tuple(suffixes)):
+        raise TaskliftError(f"{target}: expected a name that ends in {' or '.join(suffixes)}")
     try:
-        return Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise TaskliftError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
+        for source in reads:
+            if target.resolve() == Path(source).resolve() or (target.exists() and target.samefile(source)):
+                raise TaskliftError(f"{target}: is read by this command, and never written; choose another name")
+        if target.is_dir():
+            raise TaskliftError(f"{target}: is a folder; expected the name of a file")
+        if os.path.lexists(target) and not force:
+            raise TaskliftError(_is_there(target))
+        if not target.parent.is_dir():
+            raise TaskliftError(f"{target}: the folder {target.parent} does not exist; make it, or choose another")
+    except (OSError, ValueError, RuntimeError) as error:  # a name too long, a NUL, links in a ring
+        if isinstance(error, TaskliftError):
+            raise
+        raise TaskliftError(f"{target}: cannot be a file's name ({error})") from error
+    return target
+
+
+def output_folder(path: PathLike, own: Sequence[str] = ()) -> Path:
+    """Make the folder of a command's results, or recognise it: new, empty, or with one of the files ``own`` in it.
+
+    Raises
+    ------
+    TaskliftError
+        If it cannot be made, or holds other things: nothing of the user's is overwritten.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        inside = [name for name in os.listdir(folder) if not name.startswith(".")]
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise TaskliftError(f"{folder}: cannot be a folder of results ({reason}); choose another") from error
+    if inside and own and not any(name in inside for name in own):
         raise TaskliftError(
-            f"{path}: expected UTF-8 text, found other bytes at offset {error.start}"
-        ) from error
+            f"{folder}: is not empty and holds no {' or '.join(own)}: not a folder of this command; choose another"
+        )
+    return folder
+
+
+def _is_there(target: Path) -> str:
+    return f"{target}: is there already; choose another name, or say --force to replace it"
+
+
+def _temporary(folder: Path) -> tuple[IO[bytes], str]:
+    """Return a new, locked file of an unpredictable name, and the name; the mode is an ordinary new file's."""
+    while True:
+        name = str(folder / f".tasklift-{secrets.token_hex(8)}.part")
+        handle = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
+        file = os.fdopen(handle, "wb")
+        if fcntl is None:
+            return file, name
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.fstat(handle).st_nlink:
+            return file, name
+        file.close()  # somebody cleaned up between the two calls, and took it for a leftover
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove temporary files whose writers are gone: nobody locks them."""
+    if fcntl is None:
+        return
+    for name in os.listdir(folder):
+        if not _PART.fullmatch(name):
+            continue
+        with suppress(OSError):
+            handle = os.open(folder / name, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.unlink(folder / name)
+            finally:
+                os.close(handle)
+
+
+def _place(temporary: str, target: Path) -> None:
+    """Give a finished file its name, unless there is a file of that name."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        if os.path.lexists(target):
+            raise FileExistsError from None
+        os.replace(temporary, target)
+
+
+# -- reading -----------------------------------------------------------------------------------------------
+
+
+def read_bytes(path: PathLike, most: int = LARGEST_FILE) -> bytes:
+    """Return the content of a plain file of at most ``most`` bytes; devices and pipes, which may never end, are not.
+
+    Raises
+    ------
+    TaskliftError
+        If there is no such file, it is not plain, too large, or cannot be read.
+    """
+    try:
+        # without O_NONBLOCK, opening a pipe would wait for its writer
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(handle, "rb", closefd=True) as file:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise TaskliftError(f"{path}: is not a plain file, but a device or a pipe; copy it into a file first")
+            data = file.read(most + 1)
+    except (OSError, ValueError) as error:
+        if isinstance(error, TaskliftError):
+            raise
+        raise TaskliftError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    if len(data) > most:
+        raise TaskliftError(f"{path}: larger than {most:,} bytes, the most that is read of such a file")
+    return data
+
+
+def read_text(path: PathLike, most: int = LARGEST_FILE) -> str:
+    """Return the text of a plain file: UTF-8, a byte-order mark left out, lines ending in one newline character."""
+    try:
+        text = read_bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise TaskliftError(f"{path}: expected UTF-8 text, found other bytes at offset {error.start}") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _refuse_constant(name: str) -> Any:
-    raise TaskliftError(f"found {name}, expected a finite number")
+    raise TaskliftError(f"expected a finite number, found {name}")
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
+        raise TaskliftError(f"the field {shown(twice)} is there twice")
+    return found
 
 
 def parse_json(text: str, where: str) -> Any:
-    """Parse strict JSON (no NaN or infinities); errors name ``where``, the line and the column."""
+    """Parse strict JSON into plain data (see :func:`tasklift.checks.plain`).
+
+    Errors name ``where``, and the line and column where the text is not JSON.
+    """
     try:
-        return json.loads(text, parse_constant=_refuse_constant)
+        value = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
         raise TaskliftError(
             f"{where}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}; "
@@ -71,9 +256,33 @@ def parse_json(text: str, where: str) -> Any:
         raise TaskliftError(f"{where}: JSON nested too deeply to be one of our files") from error
     except TaskliftError as error:
         raise TaskliftError(f"{where}: {error}") from error
+    except ValueError as error:  # whole numbers of more than 4,300 digits
+        raise TaskliftError(f"{where}: a number has too many digits to be one of ours") from error
+    return plain(value, where)
 
 
-def read_document(path: str | os.PathLike[str], format: str, version: int) -> dict[str, Any]:
+#: A key of many parts, a.b.c…, takes the parser time that grows with the square of their number.
+_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){50}""")
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Parse TOML into plain data (see :func:`tasklift.checks.plain`): dates, infinities and NaN are refused."""
+    if len(text) > LARGEST_TOML:
+        raise TaskliftError(f"{where}: longer than {LARGEST_TOML:,} characters, the most that is read of a spec")
+    if _LONG_KEY.search(text):
+        raise TaskliftError(f"{where}: a key of more than 50 parts, which none of ours has")
+    try:
+        value = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise TaskliftError(f"{where}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise TaskliftError(f"{where}: TOML nested too deeply to be one of our files") from error
+    except ValueError as error:  # whole numbers of more than 4,300 digits, days that do not exist
+        raise TaskliftError(f"{where}: a number or a date is out of range ({error})") from error
+    return plain(value, where)
+
+
+def read_document(path: PathLike, format: str, version: int) -> dict[str, Any]:
     """Read one of the project's JSON documents and check its ``format`` and ``version`` fields.
 
     Parameters
@@ -85,14 +294,18 @@ def read_document(path: str | os.PathLike[str], format: str, version: int) -> di
     version
         The newest version that this release reads.
     """
-    document = parse_json(read_text(path), str(path))
+    return check_document(parse_json(read_text(path), str(path)), str(path), format, version)
+
+
+def check_document(document: Any, where: str, format: str, version: int) -> dict[str, Any]:
+    """Return a parsed document if its fields ``format`` and ``version`` are those expected."""
     if not isinstance(document, dict) or document.get("format") != format:
-        found = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise TaskliftError(f"{path}: expected a {format} file (field 'format'), found {found!r}")
-    found = document.get("version")
-    if not isinstance(found, int) or isinstance(found, bool) or not 1 <= found <= version:
+        found = shown(document.get("format")) if isinstance(document, dict) else type(document).__name__
+        raise TaskliftError(f"{where}: expected a {format} file (field 'format'), found {found}")
+    version_found = document.get("version")
+    if not isinstance(version_found, int) or isinstance(version_found, bool) or not 1 <= version_found <= version:
         raise TaskliftError(
-            f"{path}: version {found!r} of {format} is not readable here (this release reads 1 to "
+            f"{where}: version {shown(version_found)} of {format} is not readable here (this release reads 1 to "
             f"{version}); install a newer tasklift"
         )
     return document
@@ -101,41 +314,3 @@ def read_document(path: str | os.PathLike[str], format: str, version: int) -> di
 def canonical_json(value: Any) -> str:
     """One spelling per value: sorted keys, no spaces, shortest round-trip floats. What content ids hash."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-
-
-def check_fields(value: Any, where: str, fields: dict[str, Any]) -> dict[str, Any]:
-    """Return ``value`` if it is a JSON object with exactly these fields, each of a type it may have.
-
-    Parameters
-    ----------
-    value
-        What was read.
-    where
-        Named in errors.
-    fields
-        For each field the type, or a tuple of types, that it may have; None among them allows null. A truth
-        value is not taken for a number. A field whose name ends in ``?`` may be missing.
-    """
-    if not isinstance(value, dict):
-        raise TaskliftError(f"{where}: expected an object with fields, found {type(value).__name__}")
-    names = {name.removesuffix("?") for name in fields}
-    unknown = sorted(set(value) - names)
-    if unknown:
-        raise TaskliftError(
-            f"{where}: unknown field {unknown[0]!r}; the fields are {', '.join(sorted(names))}"
-        )
-    for field, kinds in fields.items():
-        name, kinds = field.removesuffix("?"), kinds if isinstance(kinds, tuple) else (kinds,)
-        if name not in value:
-            if field.endswith("?"):
-                continue
-            raise TaskliftError(f"{where}: the field {name!r} is missing")
-        found = value[name]
-        if found is None or (isinstance(found, bool) and bool not in kinds):
-            fits = found is None and None in kinds
-        else:
-            fits = isinstance(found, tuple(kind for kind in kinds if kind is not None))
-        if not fits:
-            wanted = " or ".join("null" if k is None else k.__name__ for k in kinds)
-            raise TaskliftError(f"{where}: expected {wanted} in the field {name!r}, found {repr(found)[:60]}")
-    return value

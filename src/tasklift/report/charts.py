@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasklift.errors import TaskliftError
+from tasklift.style import DASHES, LOOKS, Look
+from tasklift.text import number
 
-COLOURS = 8  # classes c0 … c7 in report.css; later series repeat them with another dash
-_DASHES = ("", "6 3", "2 2", "8 3 2 3")
 _WIDTH, _HEIGHT = 640, 340
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 12, 46
 
 
 @dataclass(frozen=True)
 class Series:
-    """One curve: ``y`` ``(T,)``, and its band ``low`` and ``high`` ``(T,)`` or None."""
+    """One curve: ``y`` ``(T,)``, its band ``low`` and ``high`` ``(T,)`` or None, and the slug of its colour."""
 
     name: str
     y: ArrayLike
     low: ArrayLike | None = None
     high: ArrayLike | None = None
+    slug: str = ""
 
 
 def escape(text: object) -> str:
@@ -52,21 +53,12 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [round(i * step, 12) for i in range(first, last + 1)]
 
 
-def number(value: float) -> str:
-    """A number as people write it: 4 significant digits, thousands separated by thin spaces."""
-    if not math.isfinite(value):
-        return "–" if math.isnan(value) else ("∞" if value > 0 else "−∞")
-    whole = abs(value) >= 1e4 or value == round(value)
-    text = f"{value:,.0f}".replace(",", "\u2009") if whole else f"{value:.4g}"
-    return text.replace("-", "−")
-
-
 # ---------------------------------------------------------------- curves
 
 
 def curves_svg(
     series: Sequence[Series],
-    colour: Mapping[str, int],
+    looks: Mapping[str, Look],
     *,
     x: ArrayLike | None = None,
     x_label: str = "trial",
@@ -95,8 +87,9 @@ def curves_svg(
     parts = [_axes(marks, [t for t in ticks(*span, 8) if span[0] <= t <= span[1]], sx, sy, x_label, y_label)]
     for i, (one, (y, low, high)) in enumerate(zip(series, rows, strict=True)):
         at = sx(across[: len(y)])
-        style = f'class="series c{colour[one.name] % COLOURS}" data-series="{i}"'
-        dash = _DASHES[colour[one.name] // COLOURS % len(_DASHES)]
+        look = looks[one.name]
+        style = f'class="series c{look.index}" data-series="{i}"'
+        dash = " ".join(f"{1.8 * length:g}" for length in DASHES[look.dash])
         band = ""
         if low is not None and high is not None:
             band = f'<path class="band" d="{_band(at, sy(low), sy(high))}"/>'
@@ -191,6 +184,7 @@ def bars_scene(
         "texts": [[number(v) for v in row] for row in z],
         "rows": [str(row) for row in rows],
         "columns": [str(column) for column in columns],
+        "colours": [LOOKS.get(str(column), LOOKS["move"]).index for column in columns],
         "ticks": marks,
         "tickTexts": [number(mark) for mark in marks],
         "label": z_label,
@@ -256,4 +250,4 @@ def _bar(scene: Mapping[str, Any], x: float, y: float, i: int, j: int, points: A
     }
     title = f"{scene['rows'][i]}, {scene['columns'][j]}: {scene['texts'][i][j]}"
     shapes = "".join(f'<polygon class="{name}" points="{points(c)}"/>' for name, c in faces.items())
-    return f'<g class="bar c{i % COLOURS}"><title>{escape(title)}</title>{shapes}</g>'
+    return f'<g class="bar c{scene["colours"][j]}"><title>{escape(title)}</title>{shapes}</g>'

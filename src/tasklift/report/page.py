@@ -17,7 +17,9 @@ from numpy.typing import ArrayLike
 import tasklift
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
-from tasklift.report.charts import COLOURS, Series, bars_scene, bars_svg, curves_svg, data_block, escape, number
+from tasklift.report.charts import Series, bars_scene, bars_svg, curves_svg, data_block, escape
+from tasklift.style import GROUND, LOOKS, Look, css, look
+from tasklift.text import number
 
 _HERE = Path(__file__).parent
 _BADGES = {"holds": "holds", "does not hold": "fails", "undecided": "open"}
@@ -25,24 +27,26 @@ _CHART, _SMALL, _BLOCK = "charts", "charts narrow", ""
 
 
 def _marked(text: object) -> str:
-    """Escaped text in which ``**bold**`` and backticks work; nothing else does."""
+    """Escaped text in which ``**bold**``, ``*emphasis*`` and backticks work; nothing else does."""
     safe = escape(text)
     safe = re.sub(r"`([^`\n]+)`", r"<code>\1</code>", safe)
-    return re.sub(r"\*\*(\S(?:[^*\n]*\S)?)\*\*", r"<strong>\1</strong>", safe)
+    safe = re.sub(r"\*\*(\S(?:[^*\n]*\S)?)\*\*", r"<strong>\1</strong>", safe)
+    return re.sub(r"\*(\S(?:[^*\n]*\S)?)\*", r"<em>\1</em>", safe)
 
 
 class Report:
     """A report that is built top to bottom and written at once; every method returns the report.
 
-    All text is plain text and is escaped; in paragraphs, captions and the verdict ``**bold**`` and
-    backticks are marked up. A series keeps its colour throughout the report, by name.
+    All text is plain text and is escaped; in paragraphs, captions and the verdict ``**bold**``, ``*emphasis*``
+    and backticks are marked up. A series has the colour of its slug (:data:`tasklift.style.LOOKS`), else one of
+    its own throughout the report, by name.
     """
 
     def __init__(self, title: str) -> None:
         self.title = title
         self._parts: list[tuple[str, str]] = []
         self._sections: list[str] = []
-        self._colour: dict[str, int] = {}
+        self._looks: dict[str, Look] = {}
 
     def verdict(self, *lines: str) -> Report:
         """Say the result in words and numbers, set off from the rest; a paragraph per line."""
@@ -124,11 +128,12 @@ class Report:
         With JavaScript, the pointer shows values and the legend switches series off and on.
         """
         for one in series:
-            self._colour.setdefault(one.name, len(self._colour))
-        svg, data = curves_svg(series, self._colour, x=x, x_label=x_label, y_label=y_label, y_range=y_range)
+            if one.name not in self._looks:
+                self._looks[one.name] = look(one.slug or one.name, [*self._looks.values(), *LOOKS.values()])
+        svg, data = curves_svg(series, self._looks, x=x, x_label=x_label, y_label=y_label, y_range=y_range)
         legend = "".join(
-            f'<span class="c{self._colour[one.name] % COLOURS}">'
-            f"<i{' class=dashed' if self._colour[one.name] >= COLOURS else ''}></i>{escape(one.name)}</span>"
+            f'<span class="c{self._looks[one.name].index}">'
+            f'<i class="{self._looks[one.name].dash}"></i>{escape(one.name)}</span>'
             for one in series
         )
         return self._chart("curves", title, f'{svg}<div class="legend">{legend}</div>', data, caption, _CHART)
@@ -153,7 +158,7 @@ class Report:
 
     def html(self) -> str:
         """The whole document."""
-        style = (_HERE / "report.css").read_text(encoding="utf-8")
+        style = css(GROUND) + (_HERE / "report.css").read_text(encoding="utf-8")
         script = (_HERE / "report.js").read_text(encoding="utf-8")
         allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         # besides escaping: a browser runs this one script only, and fetches nothing

@@ -73,7 +73,7 @@ function drawBars(svg, s) {
   for (const [x, y, i, j] of places) {
     const zero = Math.max(0, low), r = 0.32, base = Math.min(zero, s.z[i][j]), top = Math.max(zero, s.z[i][j]);
     const X = x + (sinT > 0 ? r : -r), Y = y + (cosT > 0 ? r : -r);
-    const bar = make("g", {class: `bar c${i % 8}`}, undefined, svg);
+    const bar = make("g", {class: `bar c${s.colours[j]}`}, undefined, svg);
     make("title", {}, `${s.rows[i]}, ${s.columns[j]}: ${s.texts[i][j]}`, bar);
     make("polygon", {class: "side", points: points([[X, y - r, base], [X, y + r, base], [X, y + r, top], [X, y - r, top]])}, undefined, bar);
     make("polygon", {class: "front", points: points([[x - r, Y, base], [x + r, Y, base], [x + r, Y, top], [x - r, Y, top]])}, undefined, bar);

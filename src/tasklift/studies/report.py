@@ -188,7 +188,7 @@ def add_curves(report: Report, samples: Mapping[str, Sample], title: str) -> Non
             if name in samples:
                 sample = samples[name]
                 band = stats.mean_band(getattr(sample, column), strata=sample.maps, resamples=1000)
-                series.append(Series(name, band.estimate, band.low, band.high))
+                series.append(Series(name, band.estimate, band.low, band.high, name.replace("+", "-")))
         report.curves(series, title=f"{title}: {label}", y_label=label, x_label="trial", y_range=most)
 
 

@@ -44,9 +44,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from tasklift.checks import check_fields
 from tasklift.envs.gymnasium import Event, Factored
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, check_fields, parse_json, read_text, write_atomically
+from tasklift.files import canonical_json, parse_json, read_text, write_atomically
 from tasklift.learning.compare import Comparison, compare
 from tasklift.learning.curriculum import Curriculum, Stage
 from tasklift.learning.guard import Guard

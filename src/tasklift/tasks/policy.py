@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import tasklift
+from tasklift.checks import check_fields
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, check_fields, read_document, write_atomically
+from tasklift.files import canonical_json, read_document, write_atomically
 from tasklift.tasks import choice as rules
 from tasklift.tasks.prior import Prior, invert, scale, set_weight, swap
 from tasklift.tasks.task import Task

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.checks import check_fields
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, check_fields
+from tasklift.files import canonical_json
 from tasklift.tasks.variable import Condition, Signal, Value, Variable, condition_json, plain_number
 
 __all__ = ["LARGEST_TABLE", "Condition", "Signal", "Task", "Value", "Variable"]

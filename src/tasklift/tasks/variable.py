@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from tasklift.checks import check_fields
 from tasklift.errors import TaskliftError
-from tasklift.files import check_fields
 
 Value = int | float | str | bool
 Condition = Mapping[str, Any]

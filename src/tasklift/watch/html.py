@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tasklift.report.charts import data_block, escape
+from tasklift.style import GROUND, SCENE, css
 
 _HERE = Path(__file__).parent / "page"
 #: One script, in this order: what a replay means, how it is drawn, what people do with it
@@ -26,7 +27,7 @@ def page(document: Mapping[str, Any]) -> str:
     parts = {
         "policy": f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{allowed}'",
         "title": escape(document.get("title", "")),
-        "style": _part("page.css"),
+        "style": css(GROUND, SCENE) + _part("page.css"),
         "data": data_block(document),
         "script": script,
     }

@@ -39,19 +39,21 @@ def whole_number(value: Any, what: str, least: int = 0, most: int = LARGEST_WHOL
     good = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if good and least <= value <= most:
         return int(value)
-    if most == LARGEST_WHOLE and not (good and value > most):
-        raise TaskliftError(f"{what}: expected a whole number of at least {least}, found {shown(value)}")
-    raise TaskliftError(f"{what}: expected a whole number from {least} to {most:,}, found {shown(value)}")
+    open_ended = most == LARGEST_WHOLE and not (good and value > most)
+    bounds = f"of at least {least:,}" if open_ended else f"from {least:,} to {most:,}"
+    raise TaskliftError(f"{what}: expected a whole number {bounds}, found {shown(value)}")
 
 
 def number(value: Any, what: str, least: float = -math.inf, most: float = math.inf, *, above: bool = False) -> float:
     """Return ``value`` as a float if it is a finite number from ``least`` (with ``above``, beyond it) to ``most``."""
     good = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if good and abs(value) <= 1.7e308 and least <= value <= most and not (above and value == least):
+    if not good or not abs(value) <= 1.7e308:
+        raise TaskliftError(f"{what}: expected a finite number, found {shown(value)}")
+    if least <= value <= most and not (above and value == least):
         return float(value)
     lower = "" if least == -math.inf else f" {'above' if above else 'from'} {least:g}"
     upper = "" if most == math.inf else f" up to {most:g}"
-    raise TaskliftError(f"{what}: expected a finite number{lower}{upper}, found {shown(value)}")
+    raise TaskliftError(f"{what}: expected a number{lower}{upper}, found {shown(value)}")
 
 
 def one_of(value: T, allowed: Collection[T], what: str) -> T:
@@ -61,7 +63,7 @@ def one_of(value: T, allowed: Collection[T], what: str) -> T:
     raise TaskliftError(f"{what}: expected one of {', '.join(map(str, allowed))}, found {shown(value)}")
 
 
-def name(value: Any, what: str) -> str:
+def check_name(value: Any, what: str) -> str:
     """Return ``value`` if it can be a name: text of 1 to 200 characters in one line, without control characters."""
     if not isinstance(value, str):
         raise TaskliftError(f"{what}: expected a name, found {shown(value)}")

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import json
+import math
 import os
 import re
 import secrets
 import stat
 import tomllib
+import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tasklift.checks import plain
 from tasklift.errors import TaskliftError
@@ -280,6 +287,47 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     except ValueError as error:  # whole numbers of more than 4,300 digits, days that do not exist
         raise TaskliftError(f"{where}: a number or a date is out of range ({error})") from error
     return plain(value, where)
+
+
+def parse_arrays(data: bytes, where: str, shape: tuple[int, ...], most: int) -> dict[str, NDArray[np.float64]]:
+    """Return the arrays of an NPZ file's bytes by name: float64, all of the one ``shape`` expected.
+
+    What an array claims to be is compared with ``shape`` before anything is unpacked; together they may have
+    at most ``most`` bytes.
+    """
+    size = 8 * math.prod(shape)
+    found: dict[str, NDArray[np.float64]] = {}
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's, on odd headers
+            members = archive.infolist()
+            if len(members) * size > most:
+                raise TaskliftError(f"{len(members)} arrays of shape {shape}: more than {most:,} bytes")
+            for member in members:
+                name = member.filename.removesuffix(".npy")
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise TaskliftError(f"array {shown(name)} is packed in a way that NumPy does not use")
+                with archive.open(member) as file:
+                    version = np.lib.format.read_magic(file)
+                    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else _no_header
+                    claimed, fortran, dtype = read(file)
+                    if claimed != shape or fortran or dtype != np.float64:
+                        raise TaskliftError(
+                            f"expected array {shown(name)} of shape {shape}, float64, found {claimed}, {dtype}"
+                        )
+                    raw = file.read(size + 1)
+                if len(raw) != size or name in found:
+                    raise TaskliftError(f"array {shown(name)} has another length than it says, or is there twice")
+                found[name] = np.frombuffer(raw, np.float64).reshape(shape)
+    except TaskliftError as error:
+        raise TaskliftError(f"{where}: {error}") from error
+    except Exception as error:  # damaged bytes make zipfile, zlib and NumPy raise nearly anything
+        raise TaskliftError(f"{where}: not a file of arrays ({error or type(error).__name__})") from error
+    return found
+
+
+def _no_header(file: Any) -> Any:
+    raise ValueError("a version of the format that NumPy does not use for numbers")
 
 
 def read_document(path: PathLike, format: str, version: int) -> dict[str, Any]:

@@ -267,13 +267,22 @@ def test_a_large_table_goes_beside_the_file(tmp_path: Path, monkeypatch: pytest.
     assert math.prod(task.shape) > module.LARGEST_JSON
     policy = random_policy(task, carried={"visits": np.ones(task.shape), "epsilon": 0.25})
     policy.save(tmp_path / "big.json")
-    assert (tmp_path / "big.npz").exists()
     assert same(Policy.load(tmp_path / "big.json", task), policy)
+    (first,) = tmp_path.glob("big-*.npz")
     random_policy(task, 1).save(tmp_path / "other.json")
-    (tmp_path / "other.npz").rename(tmp_path / "big.npz")
+    (other,) = tmp_path.glob("other-*.npz")
+    kept = first.read_bytes()
+    other.rename(first)
     with pytest.raises(TaskliftError, match="not the ones saved with it"):
         Policy.load(tmp_path / "big.json")
-    (tmp_path / "big.npz").unlink()
+    first.write_bytes(kept)
+    random_policy(task, 2).save(tmp_path / "big.json")
+    (second,) = tmp_path.glob("big-*.npz")
+    assert second.name != first.name
+    (tmp_path / "copy.json").write_bytes((tmp_path / "big.json").read_bytes())
+    policy.save(tmp_path / "big.json")
+    assert same(Policy.load(tmp_path / "copy.json"), random_policy(task, 2))
+    first.unlink()
     with pytest.raises(TaskliftError, match="cannot be read"):
         Policy.load(tmp_path / "big.json")
     with pytest.raises(TaskliftError, match=r"suffix \.npz is taken"):

@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasklift.checks import check_name, number, plain, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, read_document, write_atomically
+from tasklift.text import shown
 
 FORMAT, VERSION = "tasklift-building", 1
 
@@ -34,6 +36,8 @@ OUTLINE_MARGIN_M = 2.0
 # thousand kilometres is a mistake in the units.
 SMALLEST_M, LARGEST_M = 0.001, 1e6
 LARGEST_COUNT = 10**6
+#: Ten times the largest plan seen. Drawing takes time that grows with nodes × edges.
+MOST_NODES, MOST_EDGES = 10_000, 40_000
 
 _KINDS = {name: kind for kind, name in enumerate(KIND_NAMES)}
 _CLASSES = {name: value for value, name in CLASS_NAMES.items()}
@@ -91,13 +95,14 @@ class Building:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise TaskliftError(f"building: expected a name, found {self.name!r}")
+        if self.name != "":
+            check_name(self.name, "building")
         where = f"building {self.name!r}"
         kind = _array(where, "kind", self.kind, np.int8, (None,))
         n = len(kind)
-        if n < 2:
-            raise TaskliftError(f"{where}: expected at least 2 nodes, found {n}")
+        if not 2 <= n <= MOST_NODES:
+            bound = "at least 2" if n < 2 else f"at most {MOST_NODES:,}"
+            raise TaskliftError(f"{where}: expected {bound} nodes, found {n:,}")
         arrays = {
             "kind": kind,
             "feature_class": _array(where, "feature_class", self.feature_class, np.int8, (n,)),
@@ -106,6 +111,8 @@ class Building:
             "obstacles": _array(where, "obstacles", self.obstacles, np.int64, (n,)),
         }
         edges = _array(where, "edges", self.edges, np.int64, (None, 2))
+        if len(edges) > MOST_EDGES:
+            raise TaskliftError(f"{where}: expected at most {MOST_EDGES:,} edges, found {len(edges):,}")
         length = _array(where, "length_m", self.length_m, np.float64, (len(edges),))
         width = _array(where, "width_m", self.width_m, np.float64, (len(edges),))
         edges = np.sort(edges, axis=1)
@@ -115,7 +122,7 @@ class Building:
         _check_nodes(where, arrays)
         _check_edges(where, n, arrays)
         if not _is_int(self.start) or not 0 <= self.start < n:
-            raise TaskliftError(f"{where}: start {self.start!r} is not a node; expected 0 to {n - 1}")
+            raise TaskliftError(f"{where}: start {shown(self.start)} is not a node; expected 0 to {n - 1}")
         _check_connected(where, n, arrays["edges"], int(self.start))
         if self.outline_m is None:
             arrays["outline_m"] = buffered_hull(arrays["position_m"])
@@ -123,7 +130,9 @@ class Building:
             arrays["outline_m"] = _array(where, "outline", self.outline_m, np.float64, (None, 2)) + 0.0
             _check_outline(where, arrays["outline_m"], arrays["position_m"])
         try:
-            provenance = json.loads(canonical_json(self.provenance))
+            provenance = plain(json.loads(canonical_json(self.provenance)), f"{where}, provenance")
+        except TaskliftError:
+            raise
         except (TypeError, ValueError, RecursionError) as error:
             raise TaskliftError(f"{where}: provenance is not plain JSON ({error})") from error
         if not isinstance(provenance, dict):
@@ -280,7 +289,7 @@ class Building:
         if document["format"] != FORMAT or document["version"] != VERSION:
             raise TaskliftError(
                 f"{where}: expected format {FORMAT!r} version {VERSION}, "
-                f"found {document['format']!r} version {document['version']!r}"
+                f"found {shown(document['format'])} version {shown(document['version'])}"
             )
         nodes = [_read_node(where, i, node) for i, node in enumerate(_list(where, document, "nodes"))]
         edges = [_read_edge(where, i, edge) for i, edge in enumerate(_list(where, document, "edges"))]
@@ -484,7 +493,7 @@ def _check_fields(where: str, value: Any, required: tuple[str, ...], optional: t
             raise TaskliftError(f"{where}: field {key!r} is missing")
     for key in value:
         if key not in required and key not in optional:
-            raise TaskliftError(f"{where}: unknown field {key!r}; expected {', '.join(required + optional)}")
+            raise TaskliftError(f"{where}: unknown field {shown(key)}; expected {', '.join(required + optional)}")
 
 
 def _list(where: str, document: Mapping[str, Any], key: str) -> list[Any]:
@@ -495,20 +504,16 @@ def _list(where: str, document: Mapping[str, Any], key: str) -> list[Any]:
 
 
 def _number(where: str, name: str, value: Any) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= 1e12:
-        raise TaskliftError(f"{where}: field {name!r}: expected a finite number, found {value!r:.60}")
-    return float(value)
+    return number(value, f"{where}: field {name!r}", -1e12, 1e12)
 
 
 def _integer(where: str, name: str, value: Any) -> int:
-    if not _is_int(value) or abs(value) > 10**12:
-        raise TaskliftError(f"{where}: field {name!r}: expected a whole number, found {value!r:.60}")
-    return int(value)
+    return whole_number(value, f"{where}: field {name!r}", -(10**12), 10**12)
 
 
 def _read_point(where: str, value: Any) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
-        raise TaskliftError(f"{where}: expected [x, y], found {value!r:.60}")
+        raise TaskliftError(f"{where}: expected [x, y], found {shown(value)}")
     return _number(where, "x", value[0]), _number(where, "y", value[1])
 
 
@@ -518,7 +523,7 @@ def _read_node(where: str, i: int, node: Any) -> tuple[int, int, float, float, f
     if not isinstance(node, dict):
         raise TaskliftError(f"{at}: expected an object, found {type(node).__name__}")
     if node.get("kind") not in KIND_NAMES:
-        raise TaskliftError(f"{at}: field 'kind': expected {', '.join(KIND_NAMES)}, found {node.get('kind')!r:.60}")
+        raise TaskliftError(f"{at}: field 'kind': expected {', '.join(KIND_NAMES)}, found {shown(node.get('kind'))}")
     kind = _KINDS[node["kind"]]
     required: tuple[str, ...] = ("id", "kind", "x", "y")
     if kind == ROOM:
@@ -532,7 +537,7 @@ def _read_node(where: str, i: int, node: Any) -> tuple[int, int, float, float, f
     if kind == FEATURE:
         if node["class"] not in CLASS_NAMES.values():
             names = ", ".join(CLASS_NAMES.values())
-            raise TaskliftError(f"{at}: field 'class': expected {names}, found {node['class']!r:.60}")
+            raise TaskliftError(f"{at}: field 'class': expected {names}, found {shown(node['class'])}")
         feature = _CLASSES[node["class"]]
     elif kind == ROOM:
         area = _number(at, "area_m2", node["area_m2"])

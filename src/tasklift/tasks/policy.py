@@ -15,8 +15,9 @@ import hashlib
 import io
 import json
 import os
-import zipfile
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -26,13 +27,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import tasklift
-from tasklift.checks import check_fields
+from tasklift.checks import check_fields, plain
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, read_document, write_atomically
+from tasklift.files import (
+    canonical_json,
+    parse_arrays,
+    parse_json,
+    read_bytes,
+    read_document,
+    read_text,
+    write_atomically,
+)
 from tasklift.tasks import choice as rules
 from tasklift.tasks.prior import Prior, invert, scale, set_weight, swap
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable, plain_number
+from tasklift.text import shown
 
 __all__ = ["Policy", "Prior", "Rule", "Weights", "invert", "scale", "set_weight", "swap"]
 
@@ -43,6 +53,9 @@ RULES: tuple[Rule, ...] = ("exploration", "pseudo-random", "exploitation")
 
 LARGEST_JSON = 100_000
 """Policies with more weights than this keep them in an NPZ file beside the JSON file."""
+
+LARGEST_ARRAYS = 256_000_000
+"""Bytes of all arrays of a policy together: reading them takes twice as much memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,8 +259,14 @@ class Policy:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the policy as JSON that a person can read, one input per line.
 
-        More than :data:`LARGEST_JSON` weights go into an NPZ file beside it, of the same name; keep them
-        together.
+        More than :data:`LARGEST_JSON` weights go into an NPZ file beside it; keep them together. That file is
+        written first and named by its content, so that whoever reads ``path`` at any moment, or after a crash,
+        finds the old pair or the new one.
+
+        Raises
+        ------
+        TaskliftError
+            If it cannot be written, or not be read again: the provenance is not JSON data, the arrays are too large.
         """
         target = Path(path)
         document: dict[str, Any] = {
@@ -262,20 +281,15 @@ class Policy:
         arrays |= {n: v for n, v in self.carried.items() if isinstance(v, np.ndarray)}
         document["numbers"] = {n: v for n, v in self.carried.items() if not isinstance(v, np.ndarray)}
         try:
-            canonical_json(document)
-        except (TypeError, ValueError) as error:
+            plain(json.loads(canonical_json(document)), str(target))
+        except (TypeError, ValueError, RecursionError) as error:
             raise TaskliftError(f"{target}: the provenance is not JSON data ({error})") from error
+        before = None
         if self.weights.size > LARGEST_JSON:
-            beside = target.with_suffix(".npz")
-            if beside == target:
+            if target.suffix == ".npz":
                 raise TaskliftError(f"{target}: the suffix .npz is taken by the weights; save to a .json file")
-            buffer = io.BytesIO()
-            np.savez_compressed(buffer, **arrays)
-            write_atomically(beside, buffer.getvalue())
-            document["arrays"] = {
-                "file": beside.name,
-                "sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
-            }
+            before = _weights_file(target)
+            document["arrays"] = _write_arrays(target, arrays)
         else:
             document["outputs"] = [self.task.output_values(a) for a in range(self.task.shape[1])]
             document["rows"] = [
@@ -284,6 +298,8 @@ class Policy:
             ]
         document["checksum"] = _checksum(document)
         write_atomically(target, _readable(document))
+        if before is not None and before.name != document["arrays"]["file"]:
+            _remove_unless_used(before)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], task: Task | None = None) -> Policy:
@@ -308,7 +324,7 @@ class Policy:
             if task is not None and (reason := found.difference(task)) is not None:
                 raise TaskliftError(f"it is the policy of another task: {reason}")
             if "arrays" in document:
-                arrays = _read_arrays(Path(path), document["arrays"])
+                arrays = _read_arrays(Path(path), document["arrays"], found)
             else:
                 arrays = _read_rows(found, document)
             weights = arrays.pop("weights")
@@ -401,8 +417,8 @@ def _readable(document: Mapping[str, Any]) -> str:
 
 def _read_rows(task: Task, document: Mapping[str, Any]) -> dict[str, Weights]:
     outputs, rows = document["outputs"], document["rows"]
-    task.need_room(task.shape[0] * task.shape[1], "the policy")
-    if len(rows) != task.shape[0] or outputs != [task.output_values(a) for a in range(task.shape[1])]:
+    # the numbers first: a few variables declare more outputs than there is time to spell
+    if (len(rows), len(outputs)) != task.shape or outputs != [task.output_values(a) for a in range(task.shape[1])]:
         raise TaskliftError(
             f"expected {task.shape[0]} rows and the task's {task.shape[1]} outputs, "
             f"found {len(rows)} and {len(outputs)}"
@@ -424,23 +440,48 @@ def _read_rows(task: Task, document: Mapping[str, Any]) -> dict[str, Weights]:
         raise TaskliftError("a weight is too large to be a number") from error
 
 
-def _read_arrays(path: Path, beside: Mapping[str, Any]) -> dict[str, Weights]:
+def _write_arrays(target: Path, arrays: Mapping[str, Weights]) -> dict[str, str]:
+    """Write the weights beside a policy file, by the name of their content, and return what names them there."""
+    if (size := sum(array.nbytes for array in arrays.values())) > LARGEST_ARRAYS:
+        raise TaskliftError(f"{target}: {size:,} bytes of weights; at most {LARGEST_ARRAYS:,} are saved and read")
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+    content = hashlib.sha256(buffer.getvalue()).hexdigest()
+    name = f"{target.stem}-{content[:16]}.npz"
+    write_atomically(target.with_name(name), buffer.getvalue())
+    return {"file": name, "sha256": content}
+
+
+def _weights_file(path: Path) -> Path | None:
+    """Return the weights file that a policy file names, if it does."""
+    with suppress(TaskliftError, KeyError, TypeError):
+        name = parse_json(read_text(path), str(path))["arrays"]["file"]
+        if re.fullmatch(rf"{re.escape(path.stem)}-[0-9a-f]{{16}}\.npz", name):
+            return path.with_name(name)
+    return None
+
+
+def _remove_unless_used(file: Path) -> None:
+    """Remove the weights of a policy that was replaced, unless a copy of it is still there."""
+    name = file.name.encode()
+    with suppress(OSError, TaskliftError):
+        if not any(name in read_bytes(other) for other in file.parent.glob("*.json")):
+            file.unlink()
+
+
+def _read_arrays(path: Path, beside: Mapping[str, Any], task: Task) -> dict[str, Weights]:
     check_fields(beside, f"{path}, arrays", {"file": str, "sha256": str})
     name = beside["file"]
     if Path(name).name != name or not name.endswith(".npz"):
-        raise TaskliftError(f"expected the name of an .npz file in the same folder, found {name!r}")
+        raise TaskliftError(f"expected the name of an .npz file in the same folder, found {shown(name)}")
     file = path.with_name(name)
     try:
-        raw = file.read_bytes()
-    except OSError as error:
-        raise TaskliftError(f"its weights are in {file}, which cannot be read ({error.strerror})") from error
+        raw = read_bytes(file, LARGEST_ARRAYS)
+    except TaskliftError as error:
+        raise TaskliftError(f"its weights are in another file; {error}") from error
     if hashlib.sha256(raw).hexdigest() != beside["sha256"]:
         raise TaskliftError(f"its weights in {file} are not the ones saved with it: damaged, or of another policy")
-    try:
-        with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
-            found = {key: arrays[key] for key in arrays.files}
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise TaskliftError(f"{file}: not a file of arrays ({error})") from error
+    found = parse_arrays(raw, str(file), task.shape, LARGEST_ARRAYS)
     if "weights" not in found:
         raise TaskliftError(f"{file}: has no weights")
     return found

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.checks import check_fields
+from tasklift.checks import check_fields, check_name
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
 from tasklift.tasks.variable import Condition, Signal, Value, Variable, condition_json, plain_number
@@ -72,9 +72,7 @@ class Task:
     removed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise TaskliftError(f"task: expected a name, found {self.name!r}")
-        where = f"task {self.name!r}"
+        where = f"task {check_name(self.name, 'task')!r}"
         for side in ("inputs", "outputs"):
             variables = tuple(getattr(self, side))
             object.__setattr__(self, side, variables)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tasklift.checks import check_fields
+from tasklift.checks import check_fields, check_name
 from tasklift.errors import TaskliftError
 
 Value = int | float | str | bool
@@ -60,9 +60,7 @@ class Variable:
     meaning: str = ""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise TaskliftError(f"variable: expected a name, found {self.name!r}")
-        where = f"variable {self.name!r}"
+        where = f"variable {check_name(self.name, 'variable')!r}"
         if isinstance(self.values, str) or not isinstance(self.values, Iterable):
             raise TaskliftError(f"{where}: expected a list of values, found {self.values!r}")
         object.__setattr__(self, "values", tuple(plain_value(v, where) for v in self.values))
@@ -83,8 +81,9 @@ class Variable:
             raise TaskliftError(
                 f"{where}: expected {len(self.values)} labels, one text for each value, found {labels!r}"
             )
+        first: dict[str, int] = {}
         for i, label in enumerate(labels):
-            if labels.index(label) != i or self._positions.get(label, i) != i:
+            if first.setdefault(label, i) != i or self._positions.get(label, i) != i:
                 raise TaskliftError(f"{where}: the label {label!r} stands for two values; labels must differ")
 
     @cached_property

@@ -37,7 +37,6 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from importlib import import_module
@@ -47,7 +46,7 @@ from typing import Any
 from tasklift.checks import check_fields
 from tasklift.envs.gymnasium import Event, Factored
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, parse_json, read_text, write_atomically
+from tasklift.files import canonical_json, parse_json, parse_toml, read_text, write_atomically
 from tasklift.learning.compare import Comparison, compare
 from tasklift.learning.curriculum import Curriculum, Stage
 from tasklift.learning.guard import Guard
@@ -64,13 +63,7 @@ _PRIORS = {"swap": swap, "invert": invert, "scale": scale, "set_weight": set_wei
 def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a spec file (TOML, or JSON with the same fields) and check its outer fields."""
     text, where = read_text(path), str(path)
-    if Path(path).suffix == ".json":
-        document = parse_json(text, where)
-    else:
-        try:
-            document = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise TaskliftError(f"{where}: not valid TOML: {error}") from error
+    document = parse_json(text, where) if Path(path).suffix == ".json" else parse_toml(text, where)
     check_fields(
         document,
         where,

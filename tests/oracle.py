@@ -74,7 +74,7 @@ class Robot:
     used: tuple | None = None  # (row, output number) of its last decision
     output: dict | None = None  # what it last decided
     force: dict | None = None  # what it acts on
-    held: bool = False  # repelled by a hostile in a drill: stays until its next decision
+    repelled: bool = False  # repelled by a hostile in a drill: stays until its next decision
     crossing: bool = False
     due: bool = True
     waited: int = 0  # steps since its last decision
@@ -223,7 +223,7 @@ class Oracle:
         return None
 
     def stops(self, robot):
-        return robot.held or robot.force["MV"] == 0
+        return robot.repelled or robot.force["MV"] == 0
 
     def armed(self, team):
         return [robot for robot in team if robot.kind.armed]
@@ -253,7 +253,7 @@ class Oracle:
             self.credit(row, out)
             for robot in team:
                 robot.used, robot.output = (row, out), self.outputs[out]
-                robot.due, robot.waited, robot.held = False, 0, False
+                robot.due, robot.waited, robot.repelled = False, 0, False
                 if robot.edge is None:  # [2] in mid-corridor it takes effect from the next step on
                     robot.force = robot.output
 
@@ -377,7 +377,7 @@ class Oracle:
             if not self.reading.drill:
                 robot.alive = False
             elif robot.crossing:
-                robot.leaving, robot.held = None, True
+                robot.leaving, robot.repelled = None, True
         for robot in self.living:
             if robot not in engaged:
                 robot.danger, robot.about = 2, node

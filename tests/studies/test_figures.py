@@ -38,8 +38,8 @@ def drawn_shares(building, node, goal, ca, sharpness, closed=()):
     """How often the simulator's robot takes each way of a node; ways in ``closed`` are not open to it."""
     mission = Mission(building, {SCOUT: 1, WEAPON: 2}, reading=Reading(goal_sharpness=sharpness))
     simulator, task = mission.simulator, mission.task
-    lane = simulator.lane(np.ones(task.shape))
-    simulator.begin_trial(lane, *simulator.keys(seed=3, stage=2), 0)
+    lane = simulator.lane(task.shape)
+    simulator.begin_trial(lane, seed=3, stage=2, trial=0)
     robot = lane.robots[0]
     robot["node"], robot["dl"], robot["alert"] = node, 2, goal
     robot["force"] = task.output_index({"MV": 1, "WPN": 0, "CA": ca})

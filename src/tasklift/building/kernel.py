@@ -27,6 +27,13 @@ _UNCOUNTED: dict[str, Any] = {"_nrt": False}
 _inline = njit(forceinline=True, **_UNCOUNTED)
 _entry = njit(nogil=True, cache=True, **_UNCOUNTED)
 
+# --- names of the numbers in `Rules` and `Learner`, and of what a step returns -----------------------------------
+
+SPLIT_ROBOTS, SPLIT_PAIRS, SPLIT_TEAM = 0, 1, 2  # rule 7
+SHARE_NONE, SHARE_TEAM, SHARE_RADIO = 0, 1, 2  # rule 12
+TIME_NONE, TIME_INVERTED, TIME_BASELINE = 0, 1, 2  # rule 19
+GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input that the task leaves out
+
 # --- randomness -------------------------------------------------------------------------------------------------
 
 OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW = 0, 1, 2, 3  # the purpose of a draw
@@ -87,7 +94,7 @@ def _goal(rules, robot):
 
 @_inline
 def _moves(learner, robot):
-    return robot.held == 0 and learner.outputs[robot.force].mv == 1
+    return robot.repelled == 0 and learner.outputs[robot.force].mv == 1
 
 
 @_inline
@@ -99,7 +106,7 @@ def sense(world, rules, lane, robot):
     if robot.half < 0 and lane.sites[robot.node].resolved == 0:
         feature = world.nodes[robot.node].feature
     goal_known = 1 if _goal(rules, robot) >= 0 else 0
-    row = ((robot.dl * 2 + goal_known) * 3 + weapons) * 5 + feature - 1
+    row = robot.dl * rules.dl_rows + goal_known * rules.gl_rows + weapons * rules.nwpn_rows + (feature - 1)
     if row != robot.row or robot.since >= rules.patience:
         robot.due = 1
         robot.row = row
@@ -123,16 +130,15 @@ def credit(learner, lane, row, out):
 
 
 @_inline
-def draw_output(learner, lane, r, fixed):
-    """Let robot r draw an output for its input (rule 20), and book it."""
+def draw_output(learner, lane, r):
+    """Let robot r draw an output for its input (rule 20), or take the one that is given; book it."""
     robot, key = lane.robots[r], lane.count[0].key
     row = learner.rows[robot.row]
     if row < 0:
         lane.count[0].outside = robot.row + 1
         return
-    if fixed >= 0:
-        out = fixed
-    else:
+    out = lane.given[r]
+    if out < 0:
         u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
         if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
             out = _heaviest(lane.weights[row], u)
@@ -145,7 +151,7 @@ def draw_output(learner, lane, r, fixed):
 
 
 @_inline
-def decide(world, rules, learner, lane, fixed):
+def decide(world, rules, learner, lane):
     """Let all find their inputs, and those who are due decide, in robot order; a whole team under ``by_team`` (rule 5).
 
     No decision changes an input, so both are done in one pass; a team has to know first whether any member is due.
@@ -167,10 +173,10 @@ def decide(world, rules, learner, lane, fixed):
                 robot.out = robots[team.lead].out
                 robot.pair_row = robots[team.lead].pair_row
             else:
-                draw_output(learner, lane, r, fixed)
+                draw_output(learner, lane, r)
             robot.due = 0
             robot.since = 0
-            robot.held = 0
+            robot.repelled = 0
             if robot.half < 0:
                 robot.force = robot.out
         if robot.half >= 0 or world.nodes[robot.node].feature == 1 or sites[robot.node].resolved == 1:
@@ -278,12 +284,12 @@ def choose_edge(world, rules, learner, lane, r):
     site = lane.sites[robot.node]
     first = world.nodes[robot.node].first
     n_open = open_edges(world, rules, lane, r)
-    if rules.split == 0:
+    if rules.split == SPLIT_ROBOTS:
         return draw_edge(world, rules, learner, lane, r, n_open)
     if site.picking != lane.count[0].tick:
         site.picking = lane.count[0].tick
         site.picks = 0
-    if rules.split == 2:
+    if rules.split == SPLIT_TEAM:
         for k in range(site.picks):
             if lane.open[picks[first + k] - first] > 0:
                 return picks[first + k]
@@ -299,7 +305,7 @@ def choose_edge(world, rules, learner, lane, r):
     for k in range(site.picks):
         if picks[first + k] == half:
             return half
-    if rules.split == 2 or site.picks < 2:
+    if rules.split == SPLIT_TEAM or site.picks < 2:
         picks[first + site.picks] = half
         site.picks += 1
     return half
@@ -360,7 +366,7 @@ def _resolve(rules, lane):
 
 @_inline
 def encounter(rules, learner, lane):
-    """Fight at the crossed features; tell everyone (rule 10). A drill repels instead of destroying (rule 21)."""
+    """Fight at the crossed features; spread the news (rule 10). A drill repels instead of destroying (rule 21)."""
     robots, sites, count, roster = lane.robots, lane.sites, lane.count[0], lane.roster
     highest, second = _resolve(rules, lane)
     living = 0
@@ -383,15 +389,15 @@ def encounter(rules, learner, lane):
                 continue
             if robot.crossing == 1:
                 robot.next = -1
-                robot.held = 1
-        told = second if engaged and robot.node == highest else highest
+                robot.repelled = 1
+        news = second if engaged and robot.node == highest else highest
         dl, about = robot.dl, robot.alert
         if about >= 0 and sites[about].resolved == 1:
             robot.dl = 0
             robot.alert = -1
-        if told >= 0:
+        if news >= 0:
             robot.dl = 2
-            robot.alert = told
+            robot.alert = news
         if robot.dl != dl or robot.alert != about:
             count.messages += 1
         roster[living] = r
@@ -506,7 +512,7 @@ def pool(rules, lane):
     """Pool maps within teams, or over all by radio; one message per pooling that taught someone (rules 11, 12)."""
     robots, teams, maps, pooled, count = lane.robots, lane.teams, lane.maps, lane.pooled, lane.count[0]
     words = maps.shape[1]
-    radio = rules.share_map == 2
+    radio = rules.share_map == SHARE_RADIO
     for i in range(count.alive):
         r = lane.roster[i]
         t = 0 if radio else robots[r].team
@@ -525,45 +531,42 @@ def pool(rules, lane):
 
 
 @_inline
-def _step(world, rules, learner, lane, fixed):
-    """Run one step (rule 1).
+def _step(world, rules, learner, lane):
+    """Run one step (rule 1) and return ``GOES_ON``, ``SUCCESS``, ``FAILURE`` (rule 16) or ``OUTSIDE``.
 
-    Parameters
-    ----------
-    world, rules, learner, lane
-        See the classes; no bounds checking.
-    fixed
-        The one output of the whole trial (the sweep), or -1: outputs are drawn.
-
-    Returns
-    -------
-    int
-        0: goes on, 1: success, 2: failure (rule 16), 3: an input outside the task occurred (``count.outside`` - 1).
+    After ``OUTSIDE``, ``count.outside`` is 1 + the input that the task leaves out.
     """
     count = lane.count[0]
     count.tick += 1
     count.robot_steps += count.alive
-    someone_stops = decide(world, rules, learner, lane, fixed)
+    someone_stops = decide(world, rules, learner, lane)
     if count.outside > 0:
-        return 3
+        return OUTSIDE
     if someone_stops and rules.alerts == 1:
         alert(world, lane)
     if leave(world, rules, learner, lane):
         encounter(rules, learner, lane)
     move(world, rules, learner, lane)
     differ = gather(world, lane)
-    if rules.share_map == 2 or (rules.share_map == 1 and differ):
+    if rules.share_map == SHARE_RADIO or (rules.share_map == SHARE_TEAM and differ):
         pool(rules, lane)
     count.step += 1
     if count.edges_left == 0 and count.rooms_left == 0 and count.hostiles_left == 0:
-        return 1
-    return 2 if count.alive == 0 or count.step >= rules.limit else 0
+        return SUCCESS
+    return FAILURE if count.alive == 0 or count.step >= rules.limit else GOES_ON
 
 
 @_entry
-def step(world, rules, learner, lane, fixed):
-    """Run :func:`_step`; the door from Python, for traces and tests."""
-    return _step(world, rules, learner, lane, fixed)
+def step(world, rules, learner, lane):
+    """Run :func:`_step`; the door from Python, for traces, tests and robots that are steered from outside."""
+    return _step(world, rules, learner, lane)
+
+
+@_entry
+def observe(world, rules, lane):
+    """Find every robot's input, the lost ones' included (what each saw where it was lost)."""
+    for r in range(lane.robots.shape[0]):
+        sense(world, rules, lane, lane.robots[r])
 
 
 # --- a trial ----------------------------------------------------------------------------------------------------
@@ -625,7 +628,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.pair_row = 0
         robot.out = 0
         robot.force = 0
-        robot.held = 0
+        robot.repelled = 0
         robot.crossing = 0
         robot.dl = 0
         robot.alert = -1
@@ -648,9 +651,9 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
     if learner.sweep_all == 1:
         for row in range(weights.shape[0]):
             weights[row, fixed] = _reinforced(weights[row, fixed], learner.signal[row, fixed] + inverted, learner.floor)
-    elif learner.time_signal > 0:
+    elif learner.time_signal != TIME_NONE:
         signal = inverted
-        if learner.time_signal == 2:
+        if learner.time_signal == TIME_BASELINE:
             signal = 2.0 * learner.time_reward * (mean_steps - steps) / rules.limit if mean_steps >= 0.0 else 0.0
         n_outputs = weights.shape[1]
         for k in range(count.used):
@@ -659,32 +662,9 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
     return steps
 
 
-@_entry
+@_inline
 def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, fixed, max_losses, table, left):
-    """Run trials one after the other, learning as they go; fill one row of ``table`` for each.
-
-    Parameters
-    ----------
-    world, rules, learner, lane
-        See the classes; no bounds checking.
-    stage_key, place_key
-        uint64: the hash of (seed, map, stage), and of (seed, map).
-    first_trial
-        The number of the first trial (part of the random key).
-    fixed
-        int64 (n,): each trial's one output, or -1.
-    max_losses
-        No further trial begins once so many robots were lost; -1: no cap.
-    table
-        int64 (n, 7), out: steps, success, losses, teams left, hostiles left, edges seen, messages.
-    left
-        int64 (n, kinds), out: robots left by kind.
-
-    Returns
-    -------
-    (int, int)
-        The number of trials run; 0, or 1 + the input outside the task at which it stopped.
-    """
+    """Run trials one after the other, learning as they go; see :func:`run` for what comes in and goes out."""
     count = lane.count[0]
     total_steps = 0
     total_losses = 0
@@ -695,19 +675,22 @@ def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, f
         # with one output that stops everybody, a step without any change repeats itself to the end
         stuck = fixed[n] >= 0 and learner.outputs[max(fixed[n], 0)].mv == 0
         stuck = stuck and (learner.sweep_all == 1 or learner.learn == 0)
-        state = 0
-        while state == 0:
+        for r in range(lane.given.shape[0]):
+            lane.given[r] = fixed[n]
+        state = GOES_ON
+        while state == GOES_ON:
             messages = count.messages
-            state = _step(world, rules, learner, lane, fixed[n])
-            if stuck and count.searching == 0 and count.messages == messages and state == 0:
-                state = 2
-        if state == 3:
+            state = _step(world, rules, learner, lane)
+            if stuck and count.searching == 0 and count.messages == messages and state == GOES_ON:
+                state = FAILURE
+        if state == OUTSIDE:
             return n, count.outside
-        steps = end_trial(rules, learner, lane, state == 1, fixed[n], total_steps / n if n > 0 else -1.0)
+        success = state == SUCCESS
+        steps = end_trial(rules, learner, lane, success, fixed[n], total_steps / n if n > 0 else -1.0)
         total_steps += steps
         total_losses += count.losses
         table[n, 0] = steps
-        table[n, 1] = 1 if state == 1 else 0
+        table[n, 1] = 1 if success else 0
         table[n, 2] = count.losses
         table[n, 3] = count.teams
         table[n, 4] = count.hostiles_left
@@ -718,3 +701,46 @@ def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, f
         for i in range(count.alive):
             left[n, world.members[lane.roster[i]].kind] += 1
     return fixed.shape[0], 0
+
+
+@_entry
+def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weights, jobs, table, left, done):
+    """Run the trials of many runs, one job after the other; each job is a block of one run's trials.
+
+    Parameters
+    ----------
+    world, rules, learner, lane
+        See the classes; no bounds checking.
+    keys
+        uint64 (P, 2): of each run, the hash of (seed, map, stage) and of (seed, map).
+    first_trial
+        The number of every run's first trial (part of the random key).
+    fixed
+        int64 (n,): each trial's one output, or -1.
+    max_losses
+        No further trial of a run begins once this many robots were lost; -1: no cap.
+    weights
+        float64 (P, S, A), in and out. A run that learns is one job; its weights go on from trial to trial.
+    jobs
+        int64 (J, 3): the run, its first trial and the trial after its last, counted from 0.
+    table
+        int64 (P, n, 7), out: steps, success, losses, teams left, hostiles left, edges seen, messages.
+    left
+        int64 (P, n, kinds), out: robots left by kind.
+    done
+        int64 (J, 2), out: the number of trials run, and 0 or 1 + the input outside the task at which the job stopped.
+    """
+    for j in range(jobs.shape[0]):
+        p, first, last = jobs[j, 0], jobs[j, 1], jobs[j, 2]
+        for row in range(weights.shape[1]):
+            for out in range(weights.shape[2]):
+                lane.weights[row, out] = weights[p, row, out]
+        n, outside = run_trials(
+            world, rules, learner, lane, keys[p, 0], keys[p, 1], first_trial + first, fixed[first:last], max_losses,
+            table[p, first:last], left[p, first:last],
+        )  # fmt: skip
+        done[j, 0], done[j, 1] = n, outside
+        if learner.learn == 1:
+            for row in range(weights.shape[1]):
+                for out in range(weights.shape[2]):
+                    weights[p, row, out] = lane.weights[row, out]

@@ -22,7 +22,7 @@ MEMBER = _record(speed_mm="i8", armed="i8", kind="i8")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8")
 ROBOT = _record(
     alive="i8", node="i8", half="i8", next="i8", came="i8", progress="i8",  # half, next, came: -1 for none
-    due="i8", since="i8", row="i8", pair_row="i8", out="i8", force="i8", held="i8", crossing="i8",
+    due="i8", since="i8", row="i8", pair_row="i8", out="i8", force="i8", repelled="i8", crossing="i8",
     dl="i8", alert="i8", team="i8", decisions="i8", choices="i8",
 )  # fmt: skip
 SITE = _record(
@@ -60,14 +60,17 @@ class Rules(NamedTuple):
     limit: int
     patience: int
     by_team: int
-    split: int  # 0 robots, 1 pairs, 2 team
+    split: int  # kernel.SPLIT_…
     turn_back: int
     unvisited_first: int
     sharpness: float
     engage_crossing: int
     suspicion_goal: int
-    share_map: int  # 0 none, 1 team, 2 radio
+    share_map: int  # kernel.SHARE_…
     drill: int
+    dl_rows: int  # how many rows of the full task's table lie between two values of DL, of GL, of nWPN
+    gl_rows: int
+    nwpn_rows: int
     alerts: int  # 0 in a mission without hostiles: nothing to suspect
 
 
@@ -82,7 +85,7 @@ class Learner(NamedTuple):
     greedy: float  # probability of taking the heaviest output: 0 exploration, 1 exploitation
     floor: float
     once: int  # 1: a local signal reaches its pair once per trial
-    time_signal: int  # 0 none, 1 inverted, 2 baseline
+    time_signal: int  # kernel.TIME_…
     time_reward: float
     loss_signal: float
 
@@ -91,6 +94,7 @@ class Lane(NamedTuple):
     """One simulation under way. Everything here is written to."""
 
     robots: Any  # ROBOT (R,)
+    given: Any  # int64 (R,): the output of each robot's next decisions, -1: drawn
     roster: Any  # int64 (R,): the living, ascending, first `count.alive` entries
     sites: Any  # SITE (N,)
     picks: Any  # int64 (H,): per node, the half-edges chosen in this step, in order

@@ -1,31 +1,27 @@
-"""A mission: a building, a team, hidden hostiles and the world's rules. What policies are trained on."""
+"""A mission: a building to be searched by a team. A world that policies are trained on."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tasklift.building.graph import FEATURE, Building
-from tasklift.building.reading import Reading
-from tasklift.building.search import hostile_candidates, search_and_clear
-from tasklift.building.team import Kind, parse_team
+from tasklift.building.setting import Setting
 from tasklift.errors import TaskliftError
+from tasklift.learning.reinforcement import GREEDY_STAGE, Reinforcement
+from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 
 if TYPE_CHECKING:
-    from tasklift.building.simulator import SearchOutcomes, Simulator
-
-#: The largest step limit: draws are numbered with 32 bits.
-LARGEST_LIMIT = 10**9
+    from tasklift.building.outcomes import SearchOutcomes
+    from tasklift.building.simulator import Simulator
 
 
-@dataclass(frozen=True, eq=False)
-class Mission:
+class Mission(Setting):
     """A building, a team, hidden hostiles and the rules they live by. A world that policies are trained on.
 
     It implements :class:`tasklift.learning.reinforcement.Trials`.
@@ -62,74 +58,6 @@ class Mission:
     0
     """
 
-    building: Building
-    team: Mapping[Kind, int]
-    hostiles: int | tuple[int, ...] = 1
-    reading: Reading = field(default_factory=Reading)
-    weapons_needed: int = 2
-    limit: int = 600
-
-    if TYPE_CHECKING:  # what may be given is more than what is kept
-
-        def __init__(
-            self,
-            building: Building,
-            team: str | Mapping[Any, int],
-            hostiles: int | Sequence[int] = 1,
-            reading: Reading = ...,
-            weapons_needed: int = 2,
-            limit: int = 600,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.building, Building):
-            raise TaskliftError(f"mission: expected a Building, found {self.building!r}")
-        if not isinstance(self.reading, Reading):
-            raise TaskliftError(f"mission: expected a Reading, found {self.reading!r}")
-        object.__setattr__(self, "team", parse_team(self.team))
-        _check_count("weapons_needed", self.weapons_needed, 1, LARGEST_LIMIT)
-        _check_count("limit", self.limit, 1, LARGEST_LIMIT)
-        self._check_hostiles()
-
-    def _check_hostiles(self) -> None:
-        if isinstance(self.hostiles, Sequence | np.ndarray) and not isinstance(self.hostiles, str):
-            for node in self.hostiles:
-                _check_count("hostiles, node", node, 0, self.building.n_nodes - 1)
-                if self.building.kind[node] != FEATURE:
-                    raise TaskliftError(f"hostiles: node {node} of {self.building.name!r} is not a feature")
-            object.__setattr__(self, "hostiles", tuple(int(node) for node in self.hostiles))
-            if len(set(self.hostiles)) < len(self.hostiles):
-                raise TaskliftError("hostiles: at most one per feature, found a node twice")
-        else:
-            _check_count("hostiles", self.hostiles, 0)
-            places = len(hostile_candidates(self.building))
-            if self.n_hostiles > places:
-                raise TaskliftError(
-                    f"hostiles: asked for {self.hostiles}, but {self.building.name!r} has {places} door(s) that are "
-                    "not next to the start; ask for fewer, add doors, or name the features they stand at"
-                )
-        armed = sum(number for kind, number in self.team.items() if kind.armed)
-        if self.n_hostiles and self.weapons_needed > armed:
-            raise TaskliftError(
-                f"weapons_needed: a hostile needs {self.weapons_needed} weapon robots, the team has {armed}; "
-                "no team could ever succeed"
-            )
-
-    @property
-    def n_robots(self) -> int:
-        """Number of robots, ``R``."""
-        return sum(self.team.values())
-
-    @property
-    def n_hostiles(self) -> int:
-        """Number of hostiles at the start of a trial."""
-        return self.hostiles if isinstance(self.hostiles, int) else len(self.hostiles)
-
-    @property
-    def task(self) -> Task:
-        """The paper's task T (Table I)."""
-        return search_and_clear()
-
     def without_hostiles(self) -> Mission:
         """Return the safe version: the same building and team, nothing hidden, hence nothing to suspect."""
         return dataclasses.replace(self, hostiles=0)
@@ -150,9 +78,73 @@ class Mission:
         """Run trials, as :class:`~tasklift.learning.reinforcement.Trials` asks: :meth:`Simulator.run`."""
         return self.simulator.run
 
+    def evaluate(
+        self,
+        policies: Policy | Sequence[Policy] | NDArray[np.float64],
+        episodes: int,
+        seed: int = 0,
+        *,
+        reinforcement: Reinforcement | None = None,
+        stage: int = GREEDY_STAGE,
+        first_episode: int = 0,
+        threads: int | None = None,
+    ) -> SearchOutcomes:
+        """Play many policies without learning, in one compiled call over all cores.
 
-def _check_count(where: str, value: object, least: int, most: int | None = None) -> None:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
-        bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
-        raise TaskliftError(f"{where}: expected a whole number {bounds}, found {value!r}")
+        All policies play the same episodes (trials) with the same random numbers, so their outcomes are paired. A
+        policy's outcomes do not depend on the other policies, on the number of threads, or on how calls are cut.
+
+        Parameters
+        ----------
+        policies : Policy, sequence of Policy, or float64 (P, S, A)
+            Policies of one task: the mission's own, or a simplification of it. An array is of the mission's task.
+        episodes : int
+            Episodes per policy.
+        seed, stage, first_episode : int
+            The random key. The stage keeps these episodes apart from those of training.
+        reinforcement : Reinforcement, optional
+            Its ``selection`` and ``q`` say how outputs are chosen from weights; by default they are drawn.
+        threads : int, optional
+            Number of threads; all cores by default.
+
+        Returns
+        -------
+        SearchOutcomes
+            Arrays ``(P, episodes)``.
+
+        Raises
+        ------
+        TaskliftError
+            For policies of different tasks or of another world, tables that are not finite numbers of at least 0, and
+            numbers out of range; and if the world shows an input that the task leaves out.
+
+        Examples
+        --------
+        >>> import tasklift as tl
+        >>> from tasklift.building import generate
+        >>> hunt = Mission(generate(seed=7), team="10+5")
+        >>> hunt.evaluate([tl.Policy.equal(hunt.task)] * 2, episodes=4).steps.shape
+        (2, 4)
+        """
+        task, weights = self.task, policies
+        if not isinstance(policies, np.ndarray):
+            task, weights = _tables([policies] if isinstance(policies, Policy) else policies)
+        weights = np.ascontiguousarray(weights)
+        return self.simulator.run_many(
+            task, weights, trials=episodes, seeds=[seed] * len(weights), stage=stage,
+            reinforcement=reinforcement or Reinforcement(), first_trial=first_episode, learn=False, threads=threads,
+        )  # fmt: skip
+
+
+def _tables(policies: Sequence[Policy]) -> tuple[Task, NDArray[np.float64]]:
+    """Return the one task of some policies, and their weights, float64 (P, S, A)."""
+    for policy in policies:
+        if not isinstance(policy, Policy):
+            raise TaskliftError(f"evaluate: expected policies, or an array (P, S, A), found {policy!r}")
+        if policy.task != policies[0].task:
+            raise TaskliftError(
+                f"evaluate: expected policies of one task, found {policies[0].task.name!r} and {policy.task.name!r}"
+            )
+    if not len(policies):
+        raise TaskliftError("evaluate: expected at least one policy, found none")
+    return policies[0].task, np.stack([policy.weights for policy in policies])

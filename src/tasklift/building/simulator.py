@@ -3,51 +3,36 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tasklift.building import kernel, layout
+from tasklift.building.outcomes import SearchOutcomes, Trace
 from tasklift.building.search import hostile_candidates
+from tasklift.building.setting import Setting
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import SWEEP_STAGE, TARGET_STAGE, Outcomes, Reinforcement
+from tasklift.learning.reinforcement import SWEEP_STAGE, TARGET_STAGE, Reinforcement
 from tasklift.tasks.task import Task
 
 if TYPE_CHECKING:
-    from tasklift.building.mission import Mission
     from tasklift.tasks.policy import Policy
 
-_SPLITS = ("robots", "pairs", "team")
-_SHARES = ("none", "team", "radio")
-_TIME_SIGNALS = ("none", "inverted", "baseline")
+#: The most trials in one call, summed over its runs: their outcomes take about a gigabyte.
+LARGEST_CALL = 10_000_000
+
+FAILURE, SUCCESS = kernel.FAILURE, kernel.SUCCESS  #: how a trial ends, as :meth:`Simulator.step` returns it
+_SPLITS = {"robots": kernel.SPLIT_ROBOTS, "pairs": kernel.SPLIT_PAIRS, "team": kernel.SPLIT_TEAM}
+_SHARES = {"none": kernel.SHARE_NONE, "team": kernel.SHARE_TEAM, "radio": kernel.SHARE_RADIO}
+_TIME_SIGNALS = {"none": kernel.TIME_NONE, "inverted": kernel.TIME_INVERTED, "baseline": kernel.TIME_BASELINE}
 _TABLE = ("steps", "success", "losses", "teams_left", "hostiles_left", "edges_seen", "messages")
-
-
-@dataclass(frozen=True, eq=False)
-class SearchOutcomes(Outcomes):
-    """What came of ``n`` trials of a building search, one row each.
-
-    Attributes
-    ----------
-    robots_left
-        ``int64 (n, kinds)``: the living at the end, in the order of the mission's team.
-    teams_left
-        ``int64 (n,)``: teams among them.
-    hostiles_left
-        ``int64 (n,)``.
-    explored
-        ``float64 (n,)``: share of the building's edges that some robot, living or lost, has travelled.
-    messages
-        ``int64 (n,)``: alerts heard plus poolings of maps that taught someone something (rule 11).
-    """
-
-    robots_left: NDArray[np.int64]
-    teams_left: NDArray[np.int64]
-    hostiles_left: NDArray[np.int64]
-    explored: NDArray[np.float64]
-    messages: NDArray[np.int64]
+_LARGEST_SEED, _LARGEST_STAGE = 2**63 - 1, 2**31 - 1
 
 
 def _records(dtype: np.dtype, **columns: Any) -> NDArray[Any]:
@@ -63,15 +48,16 @@ class Simulator:
 
     Parameters
     ----------
-    mission
-        A checked :class:`tasklift.building.Mission`.
+    mission : Setting
+        A :class:`tasklift.building.Mission`, which has been checked.
     """
 
-    def __init__(self, mission: Mission) -> None:
+    def __init__(self, mission: Setting) -> None:
+        if not isinstance(mission, Setting):
+            raise TaskliftError(f"simulator: expected a Mission, found {mission!r}")
         self.mission = mission
         self.world = self._world()
         self.rules = self._rules()
-        self._n_robots = mission.n_robots
 
     # --- what never changes -------------------------------------------------------------------------------------
 
@@ -116,6 +102,7 @@ class Simulator:
 
     def _rules(self) -> layout.Rules:
         mission, reading = self.mission, self.mission.reading
+        rows = {variable.name: step for variable, step in zip(mission.task.inputs, _strides(mission.task), strict=True)}
         return layout.Rules(
             start=int(mission.building.start),
             rooms=int((self.world.search > 0).sum()),
@@ -126,14 +113,17 @@ class Simulator:
             limit=mission.limit,
             patience=reading.patience,
             by_team=int(reading.decide == "team"),
-            split=_SPLITS.index(reading.split),
+            split=_SPLITS[reading.split],
             turn_back=int(reading.turn_back),
             unvisited_first=int(reading.explore == "unvisited-first"),
             sharpness=float(reading.goal_sharpness),
             engage_crossing=int(reading.engage == "crossing"),
             suspicion_goal=int(reading.suspicion_goal),
-            share_map=_SHARES.index(reading.share_map),
+            share_map=_SHARES[reading.share_map],
             drill=int(reading.drill),
+            dl_rows=rows["DL"],
+            gl_rows=rows["GL"],
+            nwpn_rows=rows["nWPN"],
             alerts=int(mission.n_hostiles > 0),
         )
 
@@ -149,43 +139,24 @@ class Simulator:
         TaskliftError
             If ``task`` is neither the mission's task nor a simplification of it.
         """
-        root = self.mission.task
-        if task.root != root:
+        if not isinstance(task, Task) or not isinstance(reinforcement, Reinforcement):
+            raise TaskliftError(f"simulator: expected a Task and a Reinforcement, found {task!r}, {reinforcement!r}")
+        if task.root != self.mission.task:
             raise TaskliftError(
-                f"task {task.name!r} is no simplification of this mission's task {root.name!r}; "
+                f"task {task.name!r} is not a simplification of this mission's task {self.mission.task.name!r}; "
                 "start from `mission.task`"
             )
-        values = [root.output_values(int(index)) for index in task.output_map]
-        outputs = _records(
-            layout.OUTPUT,
-            mv=[v["MV"] for v in values],
-            wpn=[v["WPN"] for v in values],
-            ca=[v["CA"] for v in values],
-        )
-        sweep_all = sweep and reinforcement.sweep_credit == "all"
-        greedy = {"exploration": 0.0, "pseudo-random": reinforcement.q, "exploitation": 1.0}
-        return layout.Learner(
-            rows=np.ascontiguousarray(task.input_map, np.int64),
-            outputs=outputs,
-            signal=np.ascontiguousarray(task.rule_table() if sweep_all else task.signal_table(), np.float64),
-            learn=int(learn),
-            sweep_all=int(sweep_all),
-            greedy=float(greedy[reinforcement.selection]),
-            floor=float(reinforcement.floor),
-            once=int(reinforcement.credit == "trial"),
-            time_signal=1 if sweep else _TIME_SIGNALS.index(reinforcement.time_signal),
-            time_reward=float(task.time_reward),
-            loss_signal=float(reinforcement.loss_signal),
-        )
+        return _compiled(task, reinforcement, bool(sweep), bool(learn))
 
-    def lane(self, weights: NDArray[np.float64]) -> layout.Lane:
-        """Allocate one simulation; ``weights`` (S, A) are used in place."""
-        n_robots, n_nodes = self._n_robots, len(self.world.nodes)
+    def lane(self, shape: tuple[int, int]) -> layout.Lane:
+        """Allocate one simulation, for a table of weights of this shape (S, A)."""
+        n_robots, n_nodes = self.mission.n_robots, len(self.world.nodes)
         n_edges = self.mission.building.n_edges
         words = (n_edges + 63) // 64
         degree = int((self.world.nodes["last"] - self.world.nodes["first"]).max())
         return layout.Lane(
             robots=np.zeros(n_robots, layout.ROBOT),
+            given=np.full(n_robots, -1, np.int64),
             roster=np.zeros(n_robots, np.int64),
             sites=np.zeros(n_nodes, layout.SITE),
             picks=np.zeros(len(self.world.halves), np.int64),
@@ -196,24 +167,35 @@ class Simulator:
             pooled=np.zeros((n_robots, words), np.uint64),
             teams=np.zeros(n_robots, layout.TEAM),
             slots=np.zeros(1 << (2 * n_robots - 1).bit_length(), layout.SLOT),
-            used=np.zeros(weights.shape, np.int64),
-            pairs=np.zeros(weights.size, np.int64),
+            used=np.zeros(shape, np.int64),
+            pairs=np.zeros(math.prod(shape), np.int64),
             shuffle=np.zeros(len(self.world.candidates), np.int64),
             count=np.zeros(1, layout.COUNT),
-            weights=weights,
+            weights=np.zeros(shape),
         )
 
     def keys(self, seed: int, stage: int) -> tuple[np.uint64, np.uint64]:
-        """Return the random keys of a stage and of the hostiles' places."""
-        if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**63:
-            raise TaskliftError(f"seed: expected a whole number from 0 to 2^63 - 1, found {seed!r}")
-        stage_key, place_key = kernel.keys(int(seed), self.mission.building.map_id, stage)
+        """Return the random keys of a stage and of the hostiles' places.
+
+        Raises
+        ------
+        TaskliftError
+            For a seed outside 0 to 2^63 - 1 or a stage outside 0 to 2^31 - 1.
+        """
+        _whole("seed", seed, 0, _LARGEST_SEED)
+        _whole("stage", stage, 0, _LARGEST_STAGE)
+        stage_key, place_key = kernel.keys(int(seed), self.mission.building.map_id, int(stage))
         return np.uint64(stage_key), np.uint64(place_key)
 
-    def begin_trial(self, lane: layout.Lane, stage_key: np.uint64, place_key: np.uint64, trial: int) -> None:
-        """Set a lane to the start of one trial; :func:`tasklift.building.kernel.step` takes it from there."""
-        key = np.uint64(kernel.child_key(stage_key, trial))
-        kernel.begin_trial(self.world, self.rules, lane, key, place_key)
+    def begin_trial(self, lane: layout.Lane, seed: int, stage: int, trial: int) -> None:
+        """Set a lane to the start of one trial; :meth:`step` and :meth:`act` take it from there."""
+        _whole("trial", trial, 0, _LARGEST_SEED)
+        stage_key, place_key = self.keys(seed, stage)
+        kernel.begin_trial(self.world, self.rules, lane, np.uint64(kernel.child_key(stage_key, int(trial))), place_key)
+
+    def step(self, learner: layout.Learner, lane: layout.Lane) -> int:
+        """Run one step; return the kernel's ``GOES_ON``, ``SUCCESS``, ``FAILURE`` or ``OUTSIDE``."""
+        return int(kernel.step(self.world, self.rules, learner, lane))
 
     # --- running ------------------------------------------------------------------------------------------------
 
@@ -231,48 +213,149 @@ class Simulator:
         learn: bool = True,
         max_losses: int | None = None,
     ) -> SearchOutcomes:
-        """Run trials on one lane; ``weights`` (S, A) learn in place. See :class:`.Trials`."""
-        if weights.shape != task.shape or weights.dtype != np.float64 or not weights.flags.c_contiguous:
-            raise TaskliftError(
-                f"weights: expected a C-ordered float64 array of shape {task.shape} for task {task.name!r}, "
-                f"found {weights.dtype} {weights.shape}"
-            )
-        fixed = np.full(trials, -1, np.int64) if outputs is None else np.asarray(outputs, np.int64)
-        if fixed.shape != (trials,) or (outputs is not None and not ((fixed >= 0) & (fixed < task.shape[1])).all()):
-            raise TaskliftError(
-                f"outputs: expected {trials} output numbers from 0 to {task.shape[1] - 1}, one per trial"
-            )
-        table = np.zeros((trials, len(_TABLE)), np.int64)
-        left = np.zeros((trials, len(self.mission.team)), np.int64)
-        stage_key, place_key = self.keys(seed, stage)
-        lane = self.lane(weights)
-        done, outside = kernel.run_trials(
-            self.world,
-            self.rules,
-            self.learner(task, reinforcement, sweep=outputs is not None, learn=learn),
-            lane,
-            stage_key,
-            place_key,
-            first_trial,
-            fixed,
-            -1 if max_losses is None else max_losses,
-            table,
-            left,
-        )
-        if outside:
-            self._refuse_input(task, outside - 1)
-        column = {name: np.ascontiguousarray(table[:done, i]) for i, name in enumerate(_TABLE)}
+        """Run trials on one lane; ``weights`` (S, A) learn in place. See :class:`.Trials`.
+
+        Raises
+        ------
+        TaskliftError
+            For a task of another world, weights that are not a C-ordered float64 table of the task, and numbers out
+            of range; and if the world shows an input that the task leaves out.
+
+        Examples
+        --------
+        >>> import numpy as np, tasklift as tl
+        >>> from tasklift.building import Mission, generate
+        >>> hunt = Mission(generate(seed=7), team="10+5")
+        >>> weights = np.full(hunt.task.shape, 1.5)
+        >>> out = hunt.simulator.run(hunt.task, weights, trials=3, seed=0, stage=2, reinforcement=tl.Reinforcement())
+        >>> out.steps.shape, out.robots_left.shape
+        ((3,), (3, 2))
+        """
+        if not isinstance(weights, np.ndarray) or weights.shape != task.shape:
+            raise TaskliftError(f"weights: expected an array of shape {task.shape}, found {_described(weights)}")
+        together = self.run_many(
+            task, weights[None], trials=trials, seeds=[seed], stage=stage, reinforcement=reinforcement,
+            outputs=outputs, first_trial=first_trial, learn=learn, max_losses=max_losses, threads=1,
+        )  # fmt: skip
+        return together.of_run(0)
+
+    def run_many(
+        self,
+        task: Task,
+        weights: NDArray[np.float64],
+        *,
+        trials: int,
+        seeds: Sequence[int] | NDArray[np.int64],
+        stage: int,
+        reinforcement: Reinforcement,
+        outputs: NDArray[np.int64] | None = None,
+        first_trial: int = 0,
+        learn: bool = True,
+        max_losses: int | None = None,
+        threads: int | None = None,
+    ) -> SearchOutcomes:
+        """Run trials of many policies in one call, each as :meth:`run` alone would.
+
+        Parameters
+        ----------
+        task : Task
+            The mission's task, or a simplification of it.
+        weights : float64 (P, S, A), C-ordered
+            A table for each run. They learn in place.
+        trials : int
+            Number of trials of each run.
+        seeds : sequence of int, (P,)
+            The seed of each run. Runs with equal seeds share their random numbers: they are paired.
+        stage, first_trial : int
+            The rest of the random key.
+        reinforcement : Reinforcement
+            The learner's rules.
+        outputs : int64 (trials,), optional
+            The one output of each trial, as in the sweep.
+        learn : bool
+            False: the weights stay as they are.
+        max_losses : int, optional
+            No trial of a run begins once it has lost this many robots. Needs a single run.
+        threads : int, optional
+            Number of threads; all cores by default. The result is the same on any number.
+
+        Returns
+        -------
+        SearchOutcomes
+            Arrays (P, trials).
+
+        Raises
+        ------
+        TaskliftError
+            As :meth:`run`.
+        """
+        learner = self.learner(task, reinforcement, sweep=outputs is not None, learn=learn)
+        _check_tables(task, weights, negative=learner.greedy == 1.0 and not learn)
+        n_runs = len(weights)
+        _whole("trials", trials, 0, LARGEST_CALL // max(n_runs, 1))
+        _whole("first_trial", first_trial, 0, _LARGEST_SEED - LARGEST_CALL)
+        if max_losses is not None:
+            _whole("max_losses", max_losses, 0, _LARGEST_SEED)
+            if n_runs != 1:
+                raise TaskliftError(f"max_losses: expected a single run, found {n_runs}; cap them one by one")
+        if len(seeds) != n_runs:
+            raise TaskliftError(f"seeds: expected one for each of {n_runs} tables of weights, found {len(seeds)}")
+        keys_of = {seed: self.keys(seed, stage) for seed in dict.fromkeys(seeds)}
+        keys = np.array([keys_of[seed] for seed in seeds], np.uint64).reshape(n_runs, 2)
+        fixed = _checked_outputs(task, outputs, trials)
+        # a run that learns goes from trial to trial; one that does not may be cut anywhere
+        block = trials if learn or max_losses is not None else max(1, min(trials, n_runs * trials // 64))
+        table = np.zeros((n_runs, trials, len(_TABLE)), np.int64)
+        left = np.zeros((n_runs, trials, len(self.mission.team)), np.int64)
+        jobs = _blocks(n_runs, trials, block)
+        done = np.zeros((len(jobs), 2), np.int64)
+
+        def work(part: slice, lane: layout.Lane) -> None:
+            kernel.run(
+                self.world, self.rules, learner, lane, keys, first_trial, fixed,
+                -1 if max_losses is None else max_losses, weights, jobs[part], table, left, done[part],
+            )  # fmt: skip
+
+        _share_out(work, lambda: self.lane(task.shape), len(jobs), threads)
+        outside = done[:, 1].nonzero()[0]
+        if len(outside):
+            self._refuse_input(task, int(done[outside[0], 1]) - 1)
+        n_done = int(done[0, 0]) if max_losses is not None else trials
+        column = {name: np.ascontiguousarray(table[:, :n_done, i]) for i, name in enumerate(_TABLE)}
         return SearchOutcomes(
             steps=column["steps"],
             success=column["success"].astype(bool),
             losses=column["losses"],
             limit=self.mission.limit,
-            robots_left=left[:done],
+            robots_left=left[:, :n_done],
             teams_left=column["teams_left"],
             hostiles_left=column["hostiles_left"],
             explored=column["edges_seen"] / self.mission.building.n_edges,
             messages=column["messages"],
         )
+
+    def act(self, learner: layout.Learner, lane: layout.Lane, outputs: ArrayLike) -> int:
+        """Run one step with every robot's output given from outside; return what :meth:`step` returns.
+
+        The mission's reading must have ``decide="robot"`` and ``patience=1``, so that everyone decides in every step.
+
+        Parameters
+        ----------
+        outputs : int64 (R,)
+            The number of each robot's output; a lost robot's is not looked at.
+        """
+        given = np.asarray(outputs)
+        if given.shape != lane.given.shape or given.dtype.kind not in "iu":
+            raise TaskliftError(f"act: expected {len(lane.given)} output numbers, found {_described(given)}")
+        if ((given < 0) | (given >= len(learner.outputs)))[lane.robots["alive"] == 1].any():
+            raise TaskliftError(f"act: expected output numbers from 0 to {len(learner.outputs) - 1}, found {outputs!r}")
+        lane.given[:] = np.clip(given, 0, len(learner.outputs) - 1)
+        return self.step(learner, lane)
+
+    def observe(self, lane: layout.Lane) -> NDArray[np.int64]:
+        """Return every robot's input, ``int64 (R,)``: its row of the full task's table."""
+        kernel.observe(self.world, self.rules, lane)
+        return lane.robots["row"].copy()
 
     def _refuse_input(self, task: Task, row: int) -> None:
         raise TaskliftError(
@@ -307,19 +390,20 @@ class Simulator:
         learn
             Whether weights change during the trial.
         """
-        weights = np.array(policy.weights, np.float64, order="C")
-        rules = reinforcement or Reinforcement()
+        if output is not None:
+            _whole("output", output, 0, policy.task.shape[1] - 1)
+        rules = Reinforcement() if reinforcement is None else reinforcement
         stage = SWEEP_STAGE if output is not None and stage == TARGET_STAGE else stage
         learner = self.learner(policy.task, rules, sweep=output is not None, learn=learn)
-        lane = self.lane(weights)
-        stage_key, place_key = self.keys(seed, stage)
-        self.begin_trial(lane, stage_key, place_key, trial)
+        lane = self.lane(policy.task.shape)
+        lane.weights[:] = policy.weights
+        self.begin_trial(lane, seed, stage, trial)
+        lane.given[:] = -1 if output is None else output
         frames = [_frame(lane)]
-        fixed = -1 if output is None else output
-        state = 0
-        while state == 0:
-            state = kernel.step(self.world, self.rules, learner, lane, fixed)
-            if state == 3:
+        state = kernel.GOES_ON
+        while state == kernel.GOES_ON:
+            state = self.step(learner, lane)
+            if state == kernel.OUTSIDE:
                 self._refuse_input(policy.task, int(lane.count["outside"][0]) - 1)
             frames.append(_frame(lane))
         return Trace(
@@ -328,65 +412,10 @@ class Simulator:
             learner=learner,
             seed=seed,
             trial=trial,
-            success=state == 1,
+            success=state == kernel.SUCCESS,
             weights=np.array(policy.weights, np.float64),
             **{name: np.stack([frame[name] for frame in frames]) for name in frames[0]},
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """One trial, step by step: frame 0 is the start, frame ``t`` the world after step ``t``; ``F`` frames.
-
-    Attributes
-    ----------
-    mission
-        Where it happened.
-    task, learner
-        What was learned, and the compiled rules by which the weights changed.
-    seed, trial
-        The random key, with the stage.
-    success
-        How it ended.
-    weights
-        ``float64 (S, A)``: at the start of the trial.
-    robots
-        Records ``(F, R)`` of :data:`tasklift.building.layout.ROBOT`: ``alive``, ``node`` (the last), ``half``
-        (-1 at a node), ``progress`` (mm), ``dl``, ``alert``, ``row`` (input of the full task), ``pair_row`` and
-        ``out`` (row and output of the last decision, in the learned task), ``since`` (1: decided in this step),
-        ``team``.
-    hostile, resolved
-        ``bool (F, N)``: where a hostile stands; which features are resolved.
-    failed
-        ``bool (F, N)``: where an attack failed in this step.
-    unsearched
-        ``int64 (F, N)``: steps of search left in each room.
-    visited
-        ``bool (F, E)``: edges travelled by anyone.
-    messages, losses
-        ``int64 (F,)``: counted so far.
-    """
-
-    mission: Mission
-    task: Task
-    learner: layout.Learner
-    seed: int
-    trial: int
-    success: bool
-    weights: NDArray[np.float64]
-    robots: NDArray[Any]
-    hostile: NDArray[np.bool_]
-    resolved: NDArray[np.bool_]
-    failed: NDArray[np.bool_]
-    unsearched: NDArray[np.int64]
-    visited: NDArray[np.bool_]
-    messages: NDArray[np.int64]
-    losses: NDArray[np.int64]
-
-    @property
-    def steps(self) -> int:
-        """Steps that were run."""
-        return len(self.robots) - 1
 
 
 def _frame(lane: layout.Lane) -> dict[str, Any]:
@@ -400,6 +429,108 @@ def _frame(lane: layout.Lane) -> dict[str, Any]:
         "messages": lane.count["messages"][0],
         "losses": lane.count["losses"][0],
     }
+
+
+@lru_cache(maxsize=64)
+def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool) -> layout.Learner:
+    root = task.root
+    values = [root.output_values(int(index)) for index in task.output_map]
+    outputs = _records(
+        layout.OUTPUT,
+        mv=[v["MV"] for v in values],
+        wpn=[v["WPN"] for v in values],
+        ca=[v["CA"] for v in values],
+    )
+    sweep_all = sweep and reinforcement.sweep_credit == "all"
+    greedy = {"exploration": 0.0, "pseudo-random": reinforcement.q, "exploitation": 1.0}
+    return layout.Learner(
+        rows=np.ascontiguousarray(task.input_map, np.int64),
+        outputs=outputs,
+        signal=np.ascontiguousarray(task.rule_table() if sweep_all else task.signal_table(), np.float64),
+        learn=int(learn),
+        sweep_all=int(sweep_all),
+        greedy=float(greedy[reinforcement.selection]),
+        floor=float(reinforcement.floor),
+        once=int(reinforcement.credit == "trial"),
+        time_signal=kernel.TIME_INVERTED if sweep else _TIME_SIGNALS[reinforcement.time_signal],
+        time_reward=float(task.time_reward),
+        loss_signal=float(reinforcement.loss_signal),
+    )
+
+
+def _strides(task: Task) -> list[int]:
+    """Return how many rows of a task's table lie between neighbouring values of each of its inputs."""
+    sizes = [len(variable) for variable in task.inputs]
+    return [math.prod(sizes[i + 1 :]) for i in range(len(sizes))]
+
+
+def _share_out(work: Any, lane: Any, n_jobs: int, threads: int | None) -> None:
+    """Call ``work(part, lane)`` for slices of the jobs on several threads, each with a lane of its own."""
+    if threads is None:
+        threads = os.cpu_count() or 1
+    _whole("threads", threads, 1, 4096)
+    threads = min(threads, n_jobs)
+    if threads <= 1:
+        work(slice(0, n_jobs), lane())
+        return
+    size = max(1, n_jobs // (8 * threads))
+    starts = count(0, size)  # a counter that threads may share: whoever is free takes the next slice
+
+    def take() -> None:
+        mine = lane()
+        while (start := next(starts)) < n_jobs:
+            work(slice(start, start + size), mine)
+
+    with ThreadPoolExecutor(threads) as pool:
+        for future in [pool.submit(take) for _ in range(threads)]:
+            future.result()
+
+
+def _blocks(n_runs: int, trials: int, block: int) -> NDArray[np.int64]:
+    """Return ``int64 (J, 3)``: run, first trial and the trial after the last, of every block of every run."""
+    first = np.arange(0, trials, max(block, 1))
+    run, start = np.repeat(np.arange(n_runs), len(first)), np.tile(first, n_runs)
+    return np.column_stack([run, start, np.minimum(start + block, trials)]).astype(np.int64)
+
+
+def _whole(where: str, value: object, least: int, most: int) -> None:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not least <= value <= most:  # type: ignore[operator]
+        raise TaskliftError(f"{where}: expected a whole number from {least} to {most}, found {value!r}")
+
+
+def _described(array: object) -> str:
+    return f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(array)
+
+
+def _check_tables(task: Task, weights: object, negative: bool) -> None:
+    """Refuse what is not a C-ordered float64 (P, S, A) of numbers that can be drawn by weight."""
+    good = isinstance(weights, np.ndarray) and weights.dtype == np.float64 and weights.flags.c_contiguous
+    if not good or weights.shape[1:] != task.shape or weights.ndim != 3:  # type: ignore[attr-defined]
+        raise TaskliftError(
+            f"weights: expected a C-ordered float64 array of shape {task.shape} for task {task.name!r}, "
+            f"found {_described(weights)}"
+        )
+    if not weights.flags.writeable or not weights.flags.aligned:  # type: ignore[attr-defined]
+        raise TaskliftError("weights: expected an array that can be written to; pass a copy")
+    if not weights.size:  # type: ignore[attr-defined]
+        raise TaskliftError("weights: expected at least one table, found none")
+    least, most = float(weights.min()), float(weights.max())  # type: ignore[attr-defined]
+    if not (math.isfinite(least) and math.isfinite(most)) or (least < 0 and not negative):
+        raise TaskliftError(f"weights: expected finite numbers of at least 0, found {least} to {most}")
+
+
+def _checked_outputs(task: Task, outputs: object, trials: int) -> NDArray[np.int64]:
+    """Return the one output of each trial, int64 (trials,): -1 where it is drawn."""
+    if outputs is None:
+        return np.full(trials, -1, np.int64)
+    found = np.asarray(outputs)
+    whole = found.shape == (trials,) and (found.dtype.kind in "iu" or trials == 0)
+    if not whole or ((found < 0) | (found >= task.shape[1])).any():
+        raise TaskliftError(
+            f"outputs: expected {trials} output numbers from 0 to {task.shape[1] - 1}, one per trial"
+        )
+    return np.ascontiguousarray(found, np.int64)
 
 
 def edge_cost_mm(length_m: NDArray[np.float64], width_m: NDArray[np.float64]) -> NDArray[np.int64]:

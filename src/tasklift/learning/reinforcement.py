@@ -117,7 +117,7 @@ class Outcomes:
 
     def __post_init__(self) -> None:
         shapes = {np.shape(a) for a in (self.steps, self.success, self.losses)}
-        if len(shapes) != 1 or len(shapes.pop()) != 1:
+        if len(shapes) != 1 or not shapes.pop():
             raise TaskliftError("outcomes: steps, success and losses must have one entry per trial each")
 
     def __len__(self) -> int:

@@ -165,7 +165,7 @@ def _trace(label: str, trace: Trace, task: int) -> dict[str, Any]:
         "pair": _pack((robots["pair_row"] * trace.task.shape[1] + robots["out"]).T, np.int32, steps=True),
         "decided": _pack(np.pad(_draws(trace, decided), ((1, 0), (0, 0))).T, np.int8),
         "engaged": _pack(_engaged(trace).T, np.int8),
-        "held": _pack(robots["held"].T, np.int8),
+        "held": _pack(robots["repelled"].T, np.int8),
         "visited": _pack(_first(trace.visited), np.int32),
         "resolved": _pack(_first(trace.resolved), np.int32),
         "unsearched": _pack(trace.unsearched[:, rooms].T, np.int32, steps=True),

@@ -1,0 +1,102 @@
+"""A setting: a building, a team, hidden hostiles and the world's rules, checked. What the simulator compiles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tasklift.building.graph import FEATURE, Building
+from tasklift.building.reading import Reading
+from tasklift.building.search import hostile_candidates, search_and_clear
+from tasklift.building.team import Kind, parse_team
+from tasklift.errors import TaskliftError
+from tasklift.tasks.task import Task
+
+#: The largest step limit: draws are numbered with 32 bits.
+LARGEST_LIMIT = 10**9
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A building, a team, hidden hostiles and the rules they live by. :class:`.Mission` is one that can be run.
+
+    The parameters, their checks and an example stand at :class:`.Mission`.
+    """
+
+    building: Building
+    team: Mapping[Kind, int]
+    hostiles: int | tuple[int, ...] = 1
+    reading: Reading = field(default_factory=Reading)
+    weapons_needed: int = 2
+    limit: int = 600
+
+    if TYPE_CHECKING:  # what may be given is more than what is kept
+
+        def __init__(
+            self,
+            building: Building,
+            team: str | Mapping[Any, int],
+            hostiles: int | Sequence[int] = 1,
+            reading: Reading = ...,
+            weapons_needed: int = 2,
+            limit: int = 600,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.building, Building):
+            raise TaskliftError(f"mission: expected a Building, found {self.building!r}")
+        if not isinstance(self.reading, Reading):
+            raise TaskliftError(f"mission: expected a Reading, found {self.reading!r}")
+        object.__setattr__(self, "team", parse_team(self.team))
+        _check_count("weapons_needed", self.weapons_needed, 1, LARGEST_LIMIT)
+        _check_count("limit", self.limit, 1, LARGEST_LIMIT)
+        self._check_hostiles()
+
+    def _check_hostiles(self) -> None:
+        if isinstance(self.hostiles, Sequence | np.ndarray) and not isinstance(self.hostiles, str):
+            for node in self.hostiles:
+                _check_count("hostiles, node", node, 0, self.building.n_nodes - 1)
+                if self.building.kind[node] != FEATURE:
+                    raise TaskliftError(f"hostiles: node {node} of {self.building.name!r} is not a feature")
+            object.__setattr__(self, "hostiles", tuple(int(node) for node in self.hostiles))
+            if len(set(self.hostiles)) < len(self.hostiles):
+                raise TaskliftError("hostiles: at most one per feature, found a node twice")
+        else:
+            _check_count("hostiles", self.hostiles, 0)
+            places = len(hostile_candidates(self.building))
+            if self.n_hostiles > places:
+                raise TaskliftError(
+                    f"hostiles: asked for {self.hostiles}, but {self.building.name!r} has {places} door(s) that are "
+                    "not next to the start; ask for fewer, add doors, or name the features they stand at"
+                )
+        armed = sum(number for kind, number in self.team.items() if kind.armed)
+        if self.n_hostiles and self.weapons_needed > armed:
+            raise TaskliftError(
+                f"weapons_needed: a hostile needs {self.weapons_needed} weapon robots, the team has {armed}; "
+                "no team could ever succeed"
+            )
+
+    @property
+    def n_robots(self) -> int:
+        """Number of robots, ``R``."""
+        return sum(self.team.values())
+
+    @property
+    def n_hostiles(self) -> int:
+        """Number of hostiles at the start of a trial."""
+        return self.hostiles if isinstance(self.hostiles, int) else len(self.hostiles)
+
+    @property
+    def task(self) -> Task:
+        """The paper's task T (Table I)."""
+        return search_and_clear()
+
+
+def _check_count(where: str, value: object, least: int, most: int | None = None) -> None:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
+        bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise TaskliftError(f"{where}: expected a whole number {bounds}, found {value!r}")

@@ -66,8 +66,8 @@ def test_policies_are_taken_as_objects_as_well():
     policies = [tl.Policy.equal(hunt.task), tl.Policy(hunt.task, np.random.default_rng(0).random(hunt.task.shape))]
     one = hunt.evaluate(policies[1], 5, seed=2)
     both = hunt.evaluate(policies, 5, seed=2)
-    assert one.steps.tolist() == both.steps[1:].tolist()
-    assert both.steps[0].tolist() != both.steps[1].tolist()
+    assert rows(one) == [part[1:] for part in rows(both)]
+    assert rows(both.of_run(0)) != rows(both.of_run(1))
     calm = hunt.without_hostiles()
     safe = [tl.Policy.equal(search_only(hunt.task))] * 2
     assert calm.evaluate(safe, 3).steps.shape == (2, 3)

@@ -291,8 +291,8 @@ def expand(mission):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"team": {SCOUT: 0}}, "at least one robot"),
-        ({"team": {SCOUT: -1}}, "whole number of at least 0"),
+        ({"team": {SCOUT: 0}}, "number of robots: expected a whole number from 1"),
+        ({"team": {SCOUT: -1}}, "whole number from 0"),
         ({"weapons_needed": 6}, "needs 6 weapon robots, the team has 5"),
         ({"weapons_needed": 0}, "from 1 to"),
         ({"hostiles": 99}, "has 4 door"),
@@ -304,7 +304,7 @@ def expand(mission):
         ({"team": "²+5"}, "SCOUTS"),
         ({"team": {"tank": 3}}, "found 'tank'"),
         ({"team": {"scout": 1, SCOUT: 2}}, "there twice"),
-        ({"team": {"scout": 10**30}}, "at most 100,000"),
+        ({"team": {"scout": 10**30}}, "from 0 to 100,000"),
         ({"reading": "scattered"}, "expected a Reading"),
         ({"limit": 0}, "from 1 to"),
     ],

@@ -15,6 +15,7 @@ from tasklift.errors import TaskliftError
 from tasklift.learning.reinforcement import GREEDY_STAGE, Reinforcement
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
+from tasklift.text import shown
 
 if TYPE_CHECKING:
     from tasklift.building.outcomes import SearchOutcomes
@@ -140,7 +141,7 @@ def _tables(policies: Sequence[Policy]) -> tuple[Task, NDArray[np.float64]]:
     """Return the one task of some policies, and their weights, float64 (P, S, A)."""
     for policy in policies:
         if not isinstance(policy, Policy):
-            raise TaskliftError(f"evaluate: expected policies, or an array (P, S, A), found {policy!r}")
+            raise TaskliftError(f"evaluate: expected policies, or an array (P, S, A), found {shown(policy)}")
         if policy.task != policies[0].task:
             raise TaskliftError(
                 f"evaluate: expected policies of one task, found {policies[0].task.name!r} and {policy.task.name!r}"

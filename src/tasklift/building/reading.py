@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal, get_args, get_type_hints
 
+from tasklift.checks import number, one_of, whole_number
 from tasklift.errors import TaskliftError
 
 #: The least and the largest value of each number. Beyond them the compiled world would overflow.
-RANGES: dict[str, tuple[float, float]] = {
+RANGES: dict[str, tuple[Any, Any]] = {
     "patience": (1, 10**9),
     "goal_sharpness": (0, 100),
     "alert_range_m": (0, 1e7),
@@ -89,14 +90,11 @@ class Reading:
 
     def __post_init__(self) -> None:
         for name, hint in _hints(Reading).items():
-            value = getattr(self, name)
-            options = get_args(hint)
-            if options and (not isinstance(value, str) or value not in options):
-                raise TaskliftError(f"reading, {name}: expected one of {', '.join(options)}, found {value!r}")
-            if hint is bool and not isinstance(value, bool):
-                raise TaskliftError(f"reading, {name}: expected true or false, found {value!r}")
+            value, where = getattr(self, name), f"reading, {name}"
             if name in RANGES:
-                _check_range(name, value, whole=hint is int)
+                (whole_number if hint is int else number)(value, where, *RANGES[name])
+            else:
+                one_of(value, (False, True) if hint is bool else get_args(hint), where)
 
     @classmethod
     def from_json(cls, document: dict[str, Any], where: str = "reading") -> Reading:
@@ -112,15 +110,6 @@ class Reading:
             if name not in known:
                 raise TaskliftError(f"{where}: unknown option {name!r}; known are {', '.join(sorted(known))}")
         return cls(**document)
-
-
-def _check_range(name: str, value: Any, whole: bool) -> None:
-    least, most = RANGES[name]
-    number = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
-    if not number or not least <= value <= most:
-        raise TaskliftError(
-            f"reading, {name}: expected a {'whole ' if whole else ''}number from {least:g} to {most:g}, found {value!r}"
-        )
 
 
 #: The two frozen presets, always reported side by side.

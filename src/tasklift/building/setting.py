@@ -12,8 +12,10 @@ from tasklift.building.graph import FEATURE, Building
 from tasklift.building.reading import Reading
 from tasklift.building.search import hostile_candidates, search_and_clear
 from tasklift.building.team import Kind, parse_team
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.tasks.task import Task
+from tasklift.text import shown
 
 #: The largest step limit: draws are numbered with 32 bits.
 LARGEST_LIMIT = 10**9
@@ -47,25 +49,25 @@ class Setting:
 
     def __post_init__(self) -> None:
         if not isinstance(self.building, Building):
-            raise TaskliftError(f"mission: expected a Building, found {self.building!r}")
+            raise TaskliftError(f"mission: expected a Building, found {shown(self.building)}")
         if not isinstance(self.reading, Reading):
-            raise TaskliftError(f"mission: expected a Reading, found {self.reading!r}")
+            raise TaskliftError(f"mission: expected a Reading, found {shown(self.reading)}")
         object.__setattr__(self, "team", parse_team(self.team))
-        _check_count("weapons_needed", self.weapons_needed, 1, LARGEST_LIMIT)
-        _check_count("limit", self.limit, 1, LARGEST_LIMIT)
+        whole_number(self.weapons_needed, "weapons_needed", 1, LARGEST_LIMIT)
+        whole_number(self.limit, "limit", 1, LARGEST_LIMIT)
         self._check_hostiles()
 
     def _check_hostiles(self) -> None:
         if isinstance(self.hostiles, Sequence | np.ndarray) and not isinstance(self.hostiles, str):
             for node in self.hostiles:
-                _check_count("hostiles, node", node, 0, self.building.n_nodes - 1)
+                whole_number(node, "hostiles, node", 0, self.building.n_nodes - 1)
                 if self.building.kind[node] != FEATURE:
                     raise TaskliftError(f"hostiles: node {node} of {self.building.name!r} is not a feature")
             object.__setattr__(self, "hostiles", tuple(int(node) for node in self.hostiles))
             if len(set(self.hostiles)) < len(self.hostiles):
                 raise TaskliftError("hostiles: at most one per feature, found a node twice")
         else:
-            _check_count("hostiles", self.hostiles, 0)
+            whole_number(self.hostiles, "hostiles")
             places = len(hostile_candidates(self.building))
             if self.n_hostiles > places:
                 raise TaskliftError(
@@ -93,10 +95,3 @@ class Setting:
     def task(self) -> Task:
         """The paper's task T (Table I)."""
         return search_and_clear()
-
-
-def _check_count(where: str, value: object, least: int, most: int | None = None) -> None:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
-        bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
-        raise TaskliftError(f"{where}: expected a whole number {bounds}, found {value!r}")

@@ -17,9 +17,11 @@ from tasklift.building import kernel, layout
 from tasklift.building.outcomes import SearchOutcomes, Trace
 from tasklift.building.search import hostile_candidates
 from tasklift.building.setting import Setting
+from tasklift.checks import LARGEST_WHOLE, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.reinforcement import SWEEP_STAGE, TARGET_STAGE, Reinforcement
 from tasklift.tasks.task import Task
+from tasklift.text import shown
 
 if TYPE_CHECKING:
     from tasklift.tasks.policy import Policy
@@ -32,7 +34,7 @@ _SPLITS = {"robots": kernel.SPLIT_ROBOTS, "pairs": kernel.SPLIT_PAIRS, "team": k
 _SHARES = {"none": kernel.SHARE_NONE, "team": kernel.SHARE_TEAM, "radio": kernel.SHARE_RADIO}
 _TIME_SIGNALS = {"none": kernel.TIME_NONE, "inverted": kernel.TIME_INVERTED, "baseline": kernel.TIME_BASELINE}
 _TABLE = ("steps", "success", "losses", "teams_left", "hostiles_left", "edges_seen", "messages")
-_LARGEST_SEED, _LARGEST_STAGE = 2**63 - 1, 2**31 - 1
+_LARGEST_STAGE = 2**31 - 1
 
 
 def _records(dtype: np.dtype, **columns: Any) -> NDArray[Any]:
@@ -54,7 +56,7 @@ class Simulator:
 
     def __init__(self, mission: Setting) -> None:
         if not isinstance(mission, Setting):
-            raise TaskliftError(f"simulator: expected a Mission, found {mission!r}")
+            raise TaskliftError(f"simulator: expected a Mission, found {shown(mission)}")
         self.mission = mission
         self.world = self._world()
         self.rules = self._rules()
@@ -140,7 +142,8 @@ class Simulator:
             If ``task`` is neither the mission's task nor a simplification of it.
         """
         if not isinstance(task, Task) or not isinstance(reinforcement, Reinforcement):
-            raise TaskliftError(f"simulator: expected a Task and a Reinforcement, found {task!r}, {reinforcement!r}")
+            found = f"{shown(task)} and {shown(reinforcement)}"
+            raise TaskliftError(f"simulator: expected a Task and a Reinforcement, found {found}")
         if task.root != self.mission.task:
             raise TaskliftError(
                 f"task {task.name!r} is not a simplification of this mission's task {self.mission.task.name!r}; "
@@ -182,14 +185,14 @@ class Simulator:
         TaskliftError
             For a seed outside 0 to 2^63 - 1 or a stage outside 0 to 2^31 - 1.
         """
-        _whole("seed", seed, 0, _LARGEST_SEED)
-        _whole("stage", stage, 0, _LARGEST_STAGE)
+        whole_number(seed, "seed")
+        whole_number(stage, "stage", 0, _LARGEST_STAGE)
         stage_key, place_key = kernel.keys(int(seed), self.mission.building.map_id, int(stage))
         return np.uint64(stage_key), np.uint64(place_key)
 
     def begin_trial(self, lane: layout.Lane, seed: int, stage: int, trial: int) -> None:
         """Set a lane to the start of one trial; :meth:`step` and :meth:`act` take it from there."""
-        _whole("trial", trial, 0, _LARGEST_SEED)
+        whole_number(trial, "trial")
         stage_key, place_key = self.keys(seed, stage)
         kernel.begin_trial(self.world, self.rules, lane, np.uint64(kernel.child_key(stage_key, int(trial))), place_key)
 
@@ -292,10 +295,10 @@ class Simulator:
         learner = self.learner(task, reinforcement, sweep=outputs is not None, learn=learn)
         _check_tables(task, weights, negative=learner.greedy == 1.0 and not learn)
         n_runs = len(weights)
-        _whole("trials", trials, 0, LARGEST_CALL // max(n_runs, 1))
-        _whole("first_trial", first_trial, 0, _LARGEST_SEED - LARGEST_CALL)
+        whole_number(trials, "trials", 0, LARGEST_CALL // max(n_runs, 1))
+        whole_number(first_trial, "first_trial", 0, LARGEST_WHOLE - LARGEST_CALL)
         if max_losses is not None:
-            _whole("max_losses", max_losses, 0, _LARGEST_SEED)
+            whole_number(max_losses, "max_losses")
             if n_runs != 1:
                 raise TaskliftError(f"max_losses: expected a single run, found {n_runs}; cap them one by one")
         if len(seeds) != n_runs:
@@ -347,9 +350,10 @@ class Simulator:
         given = np.asarray(outputs)
         if given.shape != lane.given.shape or given.dtype.kind not in "iu":
             raise TaskliftError(f"act: expected {len(lane.given)} output numbers, found {_described(given)}")
-        if ((given < 0) | (given >= len(learner.outputs)))[lane.robots["alive"] == 1].any():
-            raise TaskliftError(f"act: expected output numbers from 0 to {len(learner.outputs) - 1}, found {outputs!r}")
-        lane.given[:] = np.clip(given, 0, len(learner.outputs) - 1)
+        last = len(learner.outputs) - 1
+        if ((given < 0) | (given > last))[lane.robots["alive"] == 1].any():
+            raise TaskliftError(f"act: expected output numbers from 0 to {last}, found {shown(outputs)}")
+        lane.given[:] = np.clip(given, 0, last)
         return self.step(learner, lane)
 
     def observe(self, lane: layout.Lane) -> NDArray[np.int64]:
@@ -391,7 +395,7 @@ class Simulator:
             Whether weights change during the trial.
         """
         if output is not None:
-            _whole("output", output, 0, policy.task.shape[1] - 1)
+            whole_number(output, "output", 0, policy.task.shape[1] - 1)
         rules = Reinforcement() if reinforcement is None else reinforcement
         stage = SWEEP_STAGE if output is not None and stage == TARGET_STAGE else stage
         learner = self.learner(policy.task, rules, sweep=output is not None, learn=learn)
@@ -468,7 +472,7 @@ def _share_out(work: Any, lane: Any, n_jobs: int, threads: int | None) -> None:
     """Call ``work(part, lane)`` for slices of the jobs on several threads, each with a lane of its own."""
     if threads is None:
         threads = os.cpu_count() or 1
-    _whole("threads", threads, 1, 4096)
+    whole_number(threads, "threads", 1, 4096)
     threads = min(threads, n_jobs)
     if threads <= 1:
         work(slice(0, n_jobs), lane())
@@ -493,14 +497,8 @@ def _blocks(n_runs: int, trials: int, block: int) -> NDArray[np.int64]:
     return np.column_stack([run, start, np.minimum(start + block, trials)]).astype(np.int64)
 
 
-def _whole(where: str, value: object, least: int, most: int) -> None:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or not least <= value <= most:  # type: ignore[operator]
-        raise TaskliftError(f"{where}: expected a whole number from {least} to {most}, found {value!r}")
-
-
 def _described(array: object) -> str:
-    return f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(array)
+    return f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else shown(array)
 
 
 def _check_tables(task: Task, weights: object, negative: bool) -> None:

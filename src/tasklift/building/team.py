@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tasklift.checks import name, whole_number
 from tasklift.errors import TaskliftError
+from tasklift.text import shown
 
 #: The most robots in one team, and the fastest robot (mm per step): beyond that is a mistake in the units.
 LARGEST_TEAM, LARGEST_SPEED_MM = 100_000, 10**9
@@ -42,16 +44,10 @@ class Kind:
     armed: bool
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise TaskliftError(f"kind: expected a name, found {self.name!r}")
-        whole = isinstance(self.speed_mm, int) and not isinstance(self.speed_mm, bool)
-        if not whole or not 1 <= self.speed_mm <= LARGEST_SPEED_MM:
-            raise TaskliftError(
-                f"kind {self.name!r}: speed_mm must be a whole number of millimetres per step "
-                f"from 1 to {LARGEST_SPEED_MM}, found {self.speed_mm!r}"
-            )
+        name(self.name, "kind")
+        whole_number(self.speed_mm, f"kind {self.name!r}, speed_mm (millimetres per step)", 1, LARGEST_SPEED_MM)
         if not isinstance(self.armed, bool):
-            raise TaskliftError(f"kind {self.name!r}: armed must be True or False, found {self.armed!r}")
+            raise TaskliftError(f"kind {self.name!r}: armed must be True or False, found {shown(self.armed)}")
 
 
 #: The paper's two kinds (section VI: velocities 1.5 and 1.0).
@@ -86,22 +82,18 @@ def parse_team(team: str | Mapping[Any, Any], where: str = "team") -> Team:
     if isinstance(team, str):
         spelled = re.fullmatch(r"([0-9]{1,9})\+([0-9]{1,9})", team.strip(), re.ASCII)
         if spelled is None:
-            raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, found {team[:40]!r}")
+            raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, found {shown(team)}")
         team = {SCOUT: int(spelled[1]), WEAPON: int(spelled[2])}
     if not isinstance(team, Mapping):
-        raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, or {{kind: number}}, found {team!r}")
+        raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, or {{kind: number}}, found {shown(team)}")
     known = {kind.name: kind for kind in (SCOUT, WEAPON)}
     found: Team = {}
     for given, number in team.items():
         kind = known.get(given) if isinstance(given, str) else given
         if not isinstance(kind, Kind):
-            raise TaskliftError(f"{where}: expected a Kind, 'scout' or 'weapon', found {given!r}")
+            raise TaskliftError(f"{where}: expected a Kind, 'scout' or 'weapon', found {shown(given)}")
         if kind in found:
             raise TaskliftError(f"{where}: the kind {kind.name!r} is there twice")
-        if not isinstance(number, int) or isinstance(number, bool) or number < 0:
-            raise TaskliftError(f"{where}, {kind.name}: expected a whole number of at least 0, found {number!r}")
-        found[kind] = number
-    if not 1 <= sum(found.values()) <= LARGEST_TEAM:
-        robots = "none" if not sum(found.values()) else f"{sum(found.values()):,}"
-        raise TaskliftError(f"{where}: expected at least one robot and at most {LARGEST_TEAM:,}, found {robots}")
+        found[kind] = whole_number(number, f"{where}, {kind.name}", 0, LARGEST_TEAM)
+    whole_number(sum(found.values()), f"{where}, number of robots", 1, LARGEST_TEAM)
     return found

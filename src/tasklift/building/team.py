@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tasklift.checks import name, whole_number
+from tasklift.checks import check_name, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.text import shown
 
@@ -44,7 +44,7 @@ class Kind:
     armed: bool
 
     def __post_init__(self) -> None:
-        name(self.name, "kind")
+        check_name(self.name, "kind")
         whole_number(self.speed_mm, f"kind {self.name!r}, speed_mm (millimetres per step)", 1, LARGEST_SPEED_MM)
         if not isinstance(self.armed, bool):
             raise TaskliftError(f"kind {self.name!r}: armed must be True or False, found {shown(self.armed)}")

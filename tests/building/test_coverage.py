@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tasklift.building.coverage import coverage, sectors
 from tasklift.building.generate import generate
 from tasklift.building.graph import Building
+from tasklift.building.ways import sectors
 
 SQUARE = [[-10, -10], [10, -10], [10, 10], [-10, 10]]
 # A concave outline: an L without its upper right quarter
@@ -205,8 +205,3 @@ def test_a_dead_end_sees_everything():
     assert building.coverage.tolist() == [1, 1]
     (only,) = sectors(building, 1)
     assert only.area == 400
-
-
-def test_the_property_is_the_function():
-    building = generate(seed=5)
-    assert np.array_equal(building.coverage, coverage(building))

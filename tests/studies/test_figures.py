@@ -11,11 +11,11 @@ from numba import njit
 from scipy.stats import chisquare
 
 from tasklift.building import kernel
-from tasklift.building.coverage import goal_shares
 from tasklift.building.generate import generate
 from tasklift.building.mission import Mission
 from tasklift.building.reading import PRESETS, Reading
 from tasklift.building.team import SCOUT, WEAPON
+from tasklift.building.ways import goal_shares
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Store, run
 from tasklift.learning.reinforcement import Reinforcement

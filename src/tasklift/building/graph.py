@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasklift.building.coverage import coverage
 from tasklift.checks import check_name, number, plain, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, read_document, write_atomically
@@ -220,9 +221,7 @@ class Building:
     @cached_property
     def coverage(self) -> NDArray[np.float64]:
         """``float64 (2E,)``: CovA of each half-edge at its node; sums to 1 at every node."""
-        from tasklift.building.coverage import coverage
-
-        found = coverage(self)
+        found = coverage(self.position_m, self.outline_m, self.indptr, self.neighbour)
         found.flags.writeable = False
         return found
 

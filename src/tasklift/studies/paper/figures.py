@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasklift.building import draw
-from tasklift.building.coverage import goal_shares, sectors
 from tasklift.building.graph import Building
+from tasklift.building.ways import goal_shares, sectors
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
 from tasklift.lab import Store

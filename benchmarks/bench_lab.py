@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from tasklift import stats
-from tasklift.lab import Cell, CellResult, Curves, Spec, Store, grid, run, runs
+from tasklift.lab import Cell, CellResult, Curves, Spec, Store, run, runs
 
-ARMS = ["random", "expert", "direct", "direct+budget", "copy", "prior", "copy+prior"]
+ARMS = ["random", "expert", "direct", "direct-budget", "copy", "prior", "copy-prior"]
 
 
 def result(rng: np.random.Generator) -> CellResult:
@@ -43,26 +43,33 @@ def describe(curves: dict[str, Curves]) -> None:
     """Bands, a paired interval, a censored time and a probability for every arm."""
     plain = curves["direct"]
     for arm in curves.values():
-        stats.mean_band(arm.values, strata=arm.maps)
+        stats.mean_band(arm.values, strata=arm.column("map"))
         total, base = stats.area_under_curve(arm.values), stats.area_under_curve(plain.values)
-        stats.paired_difference(total, base, strata=arm.maps, statistic=stats.iqm)
-        stats.time_interval(stats.time_to_threshold(arm.values, 320), horizon=100, strata=arm.maps)
-        stats.probability_of_improvement(total, base, strata=arm.maps)
+        stats.paired_difference(total, base, strata=arm.column("map"), statistic=stats.iqm)
+        stats.time_interval(stats.time_to_threshold(arm.values, 320), horizon=100, strata=arm.column("map"))
+        stats.probability_of_improvement(total, base, strata=arm.column("map"))
 
 
 def main() -> None:
     wanted = int(sys.argv[1]) if len(sys.argv) > 1 else 16_800
     seeds = -(-wanted // (2 * 12 * len(ARMS)))
-    cells = grid(["scattered", "cohesive"], [f"map {i}" for i in range(12)], range(seeds), ARMS)
+    axes = {
+        "reading": ["scattered", "cohesive"],
+        "map": [f"map-{i}" for i in range(12)],
+        "seed": range(seeds),
+        "arm": ARMS,
+    }
+    spec = Spec.of("bench", {}, axes, over=["map", "seed"])
+    cells = spec.cells()
     rng = np.random.default_rng(0)
     made = [result(rng) for _ in range(97)]
 
     def work(cell: Cell) -> CellResult:
-        return made[(cell.seed * 31 + len(cell.arm)) % 97]
+        return made[(int(cell["seed"]) * 31 + len(cell["arm"])) % 97]
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "experiment.sqlite"
-        with Store.open(path, Spec.of("bench", {"seeds": seeds})) as store:
+        with Store.open(path, spec) as store:
             start = time.perf_counter()
             run(store, cells, work)
         each, size = 1e3 * (time.perf_counter() - start) / len(cells), path.stat().st_size / 1e6

@@ -89,7 +89,7 @@ def test_train_leaves_policies_rows_and_a_report(tasklift, building):
     code, out, _ = tasklift("runs", "list", ".")
     assert code == 0
     assert "training on" in out
-    code, out, _ = tasklift("runs", "compare", "run", "--arms", "copy", "direct")
+    code, out, _ = tasklift("runs", "compare", "run", "--between", "arm=copy,direct")
     assert code == 0
     assert "losses" in out
     code, out, _ = tasklift("runs", "export", "run", "-o", "rows.parquet")

@@ -10,17 +10,23 @@ from pathlib import Path
 
 import numpy as np
 
-from tasklift.lab import Cell, CellResult, Spec, Store, grid, run
+from tasklift.lab import Cell, CellResult, Spec, Store, run
 
-SPEC = Spec.of("test", {"maps": ["a", "b"], "seeds": 6, "arms": ["direct", "copy"], "trials": 30})
-CELLS = grid(["scattered", "cohesive"], ["a", "b"], range(6), ["direct", "copy"])
+AXES = {
+    "reading": ["scattered", "cohesive"],
+    "map": {"a": "7f", "b": "e0"},
+    "seed": range(6),
+    "arm": ["direct", "copy"],
+}
+SPEC = Spec.of("test", {"trials": 30, "team": [10, 5]}, AXES, over=["map", "seed"])
+CELLS = SPEC.cells()
 
 
 def work(cell: Cell, delay: float = 0.0) -> CellResult:
     """Numbers that depend on the cell alone."""
     time.sleep(delay)
-    key = [ord(c) for c in f"{cell.reading}/{cell.map}/{cell.arm}"]
-    rng = np.random.default_rng([*key, cell.seed])
+    key = [ord(c) for c in f"{cell['reading']}/{cell['map']}/{cell['arm']}"]
+    rng = np.random.default_rng([*key, int(cell["seed"])])
     steps = rng.integers(50, 601, 30)
     target = {
         "steps": steps,
@@ -35,7 +41,7 @@ def work(cell: Cell, delay: float = 0.0) -> CellResult:
     )
 
 
-FATAL = Cell("scattered", "a", 3, "copy")
+FATAL = Cell(reading="scattered", map="a", seed=3, arm="copy")
 
 
 def work_and_wait_for_death(cell: Cell, note: str) -> CellResult:

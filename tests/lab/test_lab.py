@@ -23,7 +23,7 @@ from hypothesis.extra import numpy as hnp
 from lab_work import CELLS, SPEC, work
 
 from tasklift.errors import TaskliftError
-from tasklift.lab import Cell, CellResult, Interrupted, Spec, Store, differences, grid, recompute, run, runs
+from tasklift.lab import Cell, CellResult, Interrupted, Spec, Store, differences, recompute, run, runs
 from tasklift.lab.packing import Packed, pack, unpack
 
 SCRIPT = Path(__file__).with_name("lab_work.py")
@@ -65,12 +65,12 @@ json_values = st.recursive(
 @given(st.dictionaries(st.text(max_size=3), json_values, max_size=4))
 @settings(deadline=None, derandomize=True)
 def test_a_spec_is_its_content(content):
-    one, other = Spec.of("a", content), Spec.of("b", dict(reversed(content.items())))
+    one, other = Spec.of("a", content, {"seed": [0]}), Spec.of("b", dict(reversed(content.items())), {"seed": [0]})
     assert one.id == other.id
     assert one.settings == content
     one.settings["more"] = 1
     assert one.settings == content
-    assert Spec.of("a", {**content, "another": 0}).id != one.id
+    assert Spec.of("a", {**content, "another": 0}, {"seed": [0]}).id != one.id
 
 
 @given(json_values, json_values)
@@ -93,7 +93,7 @@ def test_differences_name_the_place():
 @pytest.mark.parametrize("value", [float("nan"), {1, 2}, np.int64(3)])
 def test_a_spec_takes_only_json(value):
     with pytest.raises(TaskliftError, match="JSON"):
-        Spec.of("a", {"x": value})
+        Spec.of("a", {"x": value}, {"seed": [0]})
 
 
 # ---------------------------------------------------------------- packing
@@ -172,7 +172,7 @@ def test_arms_of_one_seed_run_one_after_another_in_one_thread(tmp_path):
     seen = {}
 
     def watched(cell):
-        seen.setdefault(cell.group, []).append((cell.arm, threading.current_thread().name))
+        seen.setdefault(cell.group, []).append((cell["arm"], threading.current_thread().name))
         return work(cell)
 
     with Store.open(tmp_path / "e.sqlite", SPEC) as store:
@@ -318,7 +318,7 @@ def test_two_processes_share_a_store(tmp_path, digest):
 
 def test_another_experiment_is_refused_and_nothing_touched(whole):
     before = whole.read_bytes()
-    other = Spec.of("test", {**SPEC.settings, "trials": 31})
+    other = Spec.of("test", {**SPEC.settings, "trials": 31}, SPEC.axes)
     with pytest.raises(TaskliftError, match=r"trials: 30, not 31.*nothing was touched"):
         Store.open(whole, other)
     with pytest.raises(TaskliftError, match="detail 'rows', not 'summary'"):
@@ -331,7 +331,7 @@ def test_files_that_are_not_ours_or_newer_are_refused(tmp_path, whole, opening):
     newer, foreign, text = tmp_path / "newer.sqlite", tmp_path / "foreign.sqlite", tmp_path / "text.sqlite"
     newer.write_bytes(whole.read_bytes())
     with sqlite3.connect(newer) as db:
-        db.execute("PRAGMA user_version = 2")
+        db.execute("PRAGMA user_version = 3")
     db.close()
     with sqlite3.connect(foreign) as db:
         db.execute("CREATE TABLE t (x)")
@@ -483,8 +483,8 @@ def test_curves_come_in_one_order_so_that_arms_pair(whole):
         copy = store.curves("target", "steps", reading="scattered", arm="copy")
         direct = store.curves("target", "steps", reading="scattered", arm="direct")
         assert copy.values.shape == (12, 30)
-        assert copy.paired_with(direct)
-        assert copy.maps.tolist() == ["a"] * 6 + ["b"] * 6
+        assert copy.paired_with(direct, over=["map", "seed"])
+        assert copy.column("map").tolist() == ["a"] * 6 + ["b"] * 6
         for row, cell in zip(copy.values, copy.cells, strict=True):
             assert row.tolist() == work(cell).stages["target"]["steps"].tolist()
         losses = store.summaries("losses", reading="scattered", arm="copy")
@@ -494,7 +494,7 @@ def test_curves_come_in_one_order_so_that_arms_pair(whole):
             lambda: store.curves("target", "speed"),
             lambda: store.curves("drill", "steps"),
             lambda: store.summaries("speed"),
-            lambda: store.result(Cell("x", "a", 0, "copy")),
+            lambda: store.result(Cell(reading="x", map="a", seed=0, arm="copy")),
         ):
             with pytest.raises(TaskliftError, match=str(whole)):
                 call()
@@ -502,10 +502,11 @@ def test_curves_come_in_one_order_so_that_arms_pair(whole):
 
 def test_curves_that_ended_early_are_padded_on_request(tmp_path):
     def capped(cell):
-        return CellResult({"target": {"steps": np.arange(3 + cell.seed)}})
+        return CellResult({"target": {"steps": np.arange(3 + int(cell["seed"]))}})
 
-    with Store.open(tmp_path / "e.sqlite", SPEC) as store:
-        run(store, grid(["r"], ["m"], range(2), ["a"]), capped)
+    spec = Spec.of("capped", {}, {"seed": range(2)})
+    with Store.open(tmp_path / "e.sqlite", spec) as store:
+        run(store, spec.cells(), capped)
         with pytest.raises(TaskliftError, match="pad="):
             store.curves("target", "steps")
         values = store.curves("target", "steps", pad=600).values
@@ -527,7 +528,7 @@ def test_csv_and_parquet_hold_every_row(tmp_path, whole, what):
     if what == "trials":
         found = [r["steps"] for r in table if (r["reading"], r["map"], r["seed"], r["arm"], r["stage"])
                  == ("cohesive", "b", 4, "copy", "target")]  # fmt: skip
-        assert found == work(Cell("cohesive", "b", 4, "copy")).stages["target"]["steps"].tolist()
+        assert found == work(Cell(reading="cohesive", map="b", seed=4, arm="copy")).stages["target"]["steps"].tolist()
         assert {row["trial"] for row in table if row["stage"] == "sweep"} == set(range(1, 9))
     assert list(tmp_path.glob(".*")) == []
 
@@ -547,7 +548,7 @@ def test_runs_are_found_and_shown(tmp_path, whole):
     (tmp_path / "one" / "experiment.sqlite").write_bytes(whole.read_bytes())
     (tmp_path / "bad" / "experiment.sqlite").write_text("x" * 5000)
     with Store.open(tmp_path / "two" / "experiment.sqlite", SPEC) as store, pytest.raises(ZeroDivisionError):
-        run(store, CELLS, lambda cell: work(cell) if cell.seed < 4 else 1 / 0, workers=1)
+        run(store, CELLS, lambda cell: work(cell) if int(cell["seed"]) < 4 else 1 / 0, workers=1)
     table = runs.find(tmp_path)
     assert [row[0] for row in table.rows] == ["bad", "one", "two"]
     assert "damaged" in table.rows[0][1]
@@ -557,13 +558,13 @@ def test_runs_are_found_and_shown(tmp_path, whole):
     facts, means = runs.show(tmp_path / "one")
     assert ["settings.trials", "30"] in facts.rows
     assert means.headers == ["reading", "arm", "cells", "losses", "steps"]
-    expected = np.mean([work(c).summary["losses"] for c in CELLS if c.reading == "cohesive" and c.arm == "copy"])
+    expected = np.mean([work(c).summary["losses"] for c in CELLS if c["reading"] == "cohesive" and c["arm"] == "copy"])
     (row,) = [row for row in means.rows if row[:2] == ["cohesive", "copy"]]
     assert row[2:4] == [12, pytest.approx(expected)]
 
 
 def test_runs_are_compared_by_pairs(tmp_path, whole):
-    changed = Spec.of("test", {**SPEC.settings, "trials": 31})
+    changed = Spec.of("test", {**SPEC.settings, "trials": 31}, SPEC.axes)
 
     def shifted(cell):
         return CellResult(summary={"steps": work(cell).summary["steps"] + 10})
@@ -575,11 +576,11 @@ def test_runs_are_compared_by_pairs(tmp_path, whole):
     assert {row[2] for row in table.rows} == {"steps"}
     assert all(row[5] == "10 [10, 10]" for row in table.rows)
     assert sum(row[6] for row in table.rows) == 40
-    (arms,) = runs.compare(whole, arms=("direct", "copy"))
-    assert {row[2] for row in arms.rows} == {"steps", "losses"}
-    assert {row[1] for row in arms.rows} == {"copy - direct"}
+    (arms,) = runs.compare(whole, between=("arm", "direct", "copy"))
+    assert {row[1] for row in arms.rows} == {"steps", "losses"}
+    assert arms.headers == ["reading", "summary", "direct", "copy", "difference [95 %]", "pairs", "p (Holm)"]
     assert all(0 < row[-1] <= 1 for row in arms.rows)
     with pytest.raises(TaskliftError, match="no cells in common"):
-        runs.compare(whole, arms=("direct", "drill"))
+        runs.compare(whole, between=("arm", "direct", "drill"))
     with pytest.raises(TaskliftError, match="give two"):
         runs.compare(whole)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from functools import partial
@@ -33,7 +34,7 @@ pytestmark = [
 def local_ray():
     """One Ray for the tests that do not start their own."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    here = os.path.dirname(__file__)
+    here = os.pathsep.join([os.path.dirname(__file__), *filter(None, sys.path)])
     ray.init(
         num_cpus=2,
         include_dashboard=False,
@@ -45,7 +46,7 @@ def local_ray():
 
 
 def fail_on_seed_2(cell):
-    if cell.seed == 2:
+    if cell["seed"] == "2":
         raise TaskliftError("no door")
     return work(cell)
 

@@ -120,9 +120,9 @@ def test_a_cell_does_not_depend_on_what_was_computed_before_it():
             for name, values in columns.items():
                 assert np.array_equal(values, alone.stages[stage][name])
     # a hostile at every door: the same drills, however many there are on T
-    pair = [results[Cell(f"{h}", "house", 0, arms[1])] for h in ("1 hostile", "2 hostiles")]
+    pair = [results[Cell(reading=f"{h}", map="house", seed=0, arm=arms[1])] for h in ("1 hostile", "2 hostiles")]
     assert np.array_equal(*(result.stages["drill"]["losses"] for result in pair))
-    ledger = results[Cell("1 hostile", "house", 0, "copy→drill 80, q = .9")].stages
+    ledger = results[Cell(reading="1 hostile", map="house", seed=0, arm="copy→drill 80, q = .9")].stages
     assert {stage: len(columns["losses"]) for stage, columns in ledger.items()} == {
         "source": 220, "drill": 80, "target": 100,
     }  # fmt: skip
@@ -223,7 +223,7 @@ def test_the_rule_that_chooses_the_drills(tmp_path):
     solved = dict.fromkeys(VARIANTS, 1.0) | {"every door": 0.8, "by q = .9": 0.7}
 
     def work(cell):
-        name = cell.arm.removeprefix("variant: ")
+        name = cell["arm"].removeprefix("variant: ")
         success = np.arange(COUNTED) < round(COUNTED * solved[name])
         ones = np.ones(COUNTED, np.int32)
         return CellResult(

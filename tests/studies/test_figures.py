@@ -169,7 +169,7 @@ def test_figure4_shows_means_over_runs_and_one_run_as_it_was(store):
         assert list(lines) == ["direct", "copy", "expert"]
         for arm in ("direct", "copy"):
             curves = store.curves("target", name, arm=arm)
-            band = mean_band(curves.values, strata=curves.maps)
+            band = mean_band(curves.values, strata=curves.column("map"))
             np.testing.assert_allclose(lines[arm], band.estimate)
         expert = store.curves("target", name, arm="expert").values
         np.testing.assert_allclose(lines["expert"], np.full(8, expert.mean()))

@@ -108,12 +108,12 @@ def ran(small, tmp_path_factory):
 
 def test_readings_that_explore_also_run_what_c10_needs(small):
     for name, levels in zip(small.names, small.levels, strict=True):
-        arms = {cell.arm for cell in small.cells() if cell.reading == name}
+        arms = {cell["arm"] for cell in small.cells() if cell["reading"] == name}
         assert arms == set(ARMS) | (set(EXPLOITING) if levels[SELECTION] == 0 else set())
 
 
 def test_a_cell_is_the_main_studys_cell_and_can_be_recomputed(small, ran):
-    cell = Cell("r0002", "map 1", 1, "copy")
+    cell = Cell(reading="r0002", map="map 1", seed=1, arm="copy")
     variant = Variant.of([int(level) for level in small.levels[2]])
     alone = Study(small.buildings, {"r0002": variant.reading}, ("copy",), seeds=2, trials=12, repeats=1,
                   hostiles=variant.hostiles, reinforcement=variant.reinforcement)  # fmt: skip

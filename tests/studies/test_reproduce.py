@@ -110,10 +110,10 @@ def study(**options):
 
 def test_arms_are_paired_and_adding_one_changes_no_other():
     few = Study({"house": generate(seed=2)}, PRESETS, ("copy",), seeds=1, trials=10)
-    cell = Cell("scattered", "house", 0, "copy")
+    cell = Cell(reading="scattered", map="house", seed=0, arm="copy")
     many = study()
     for arm in ARMS:
-        many.work(Cell("scattered", "house", 0, arm))
+        many.work(Cell(reading="scattered", map="house", seed=0, arm=arm))
     alone, among = few.work(cell), many.work(cell)
     for stage in alone.stages:
         for column in alone.stages[stage]:
@@ -123,7 +123,7 @@ def test_arms_are_paired_and_adding_one_changes_no_other():
 def test_a_learned_policy_is_the_one_whose_weights_the_cell_reported():
     work = study()
     for arm in ("direct+budget", "copy+prior", "expert"):
-        cell = Cell("cohesive", "house", 0, arm)
+        cell = Cell(reading="cohesive", map="house", seed=0, arm=arm)
         weights = work.learned(cell).weights.reshape(3, 2, 3, 5, 2, 22).mean(axis=(0, 1, 5))
         assert np.array_equal(work.work(cell).attachments["move_weights"], weights)
 

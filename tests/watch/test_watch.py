@@ -50,7 +50,7 @@ def unpack(packed) -> np.ndarray:
 @pytest.mark.parametrize("time_signal", ["inverted", "baseline"])
 def test_every_trial_of_an_arm_is_traced_as_the_unbroken_run_has_it(arm, time_signal):
     one = study(reinforcement=Reinforcement(time_signal=time_signal, loss_signal=-0.5))
-    cell = next(c for c in one.cells() if (c.arm, c.seed, c.reading) == (arm, 1, "cohesive"))
+    cell = next(c for c in one.cells() if (c["arm"], c["seed"], c["reading"]) == (arm, "1", "cohesive"))
     rows = one.work(cell).stages["target"]
     traces = study_traces(one, reading="cohesive", map="small", seed=1, arms=[arm], trials=[1, 2, 6])
     assert [label for label, _ in traces] == ["trial 1", "trial 2", "trial 6"]
@@ -81,10 +81,10 @@ def test_greedy_policies_play_the_trials_that_a_study_counts():
     one = study()
     cell = one.cells()[2]
     greedy = one.work(cell).stages["greedy"]
-    mission = one.mission(cell.reading, cell.map)
+    mission = one.mission(cell["reading"], cell["map"])
     for trial in (1, 4):
         [(label, trace)] = policy_traces(
-            mission, [("learned", one.learned(cell))], seed=cell.seed, trial=trial, greedy=True
+            mission, [("learned", one.learned(cell))], seed=int(cell["seed"]), trial=trial, greedy=True
         )
         assert label == "learned"
         assert (trace.steps if trace.success else 150) == greedy["steps"][trial - 1]
@@ -122,7 +122,7 @@ def test_trials_of_an_experiment_are_found_by_map_seed_arm_and_number(experiment
 
 
 def test_rows_that_this_release_plays_differently_are_refused(experiment, monkeypatch):
-    from tasklift.lab.spec import CellResult
+    from tasklift.lab import CellResult
 
     result = Store.result
 
@@ -138,7 +138,7 @@ def test_rows_that_this_release_plays_differently_are_refused(experiment, monkey
 
 
 def test_an_experiment_of_another_kind_is_refused(tmp_path):
-    with Store.open(tmp_path / FILE_NAME, Spec.of("apples", {"apples": 3})):
+    with Store.open(tmp_path / FILE_NAME, Spec.of("apples", {"apples": 3}, {"seed": [0]})):
         pass
     with pytest.raises(TaskliftError, match="watch plays the experiments of"):
         run_traces(tmp_path, reading=None, map=None, seed=0, arms=None, trials=None)

@@ -24,6 +24,7 @@ _ELSEWHERE = {
         "Turn floor plans into buildings; look at them, check, correct, export.",
     ),
     "learn": ("tasklift.cli.learn", "learn_command", "Run a curriculum from a spec file; say whether it paid."),
+    "runs": ("tasklift.cli.runs", "runs_group", "List, show, compare and export experiments."),
     "watch": ("tasklift.cli.watch", "watch_command", "Replay trials in the browser."),
 }
 
@@ -177,7 +178,9 @@ def drills(choose: bool, **options: Any) -> None:
         else:
             lines, report = drill_report.drills(progress=progress, **options)
     if choose:
-        _print(table)
+        from tasklift.cli.runs import print_tables
+
+        print_tables(table)
         click.echo(line)
     else:
         click.echo("\n".join([*lines, f"report: {report}"]))
@@ -238,66 +241,6 @@ def policy_export(file: Path, out: Path) -> None:
 
     write_atomically(out, Policy.load(file).to_csv())
     click.echo(f"written: {out}")
-
-
-@cli.group()
-def runs() -> None:
-    """List, show, compare and export experiments."""
-
-
-@runs.command("list")
-@click.argument("folder", type=click.Path(path_type=Path), default=Path())
-def runs_list(folder: Path) -> None:
-    """List the experiments in FOLDER and below."""
-    from tasklift.lab.runs import find
-
-    _print(find(folder))
-
-
-@runs.command("show")
-@click.argument("run", type=click.Path(path_type=Path))
-def runs_show(run: Path) -> None:
-    """Show an experiment's settings and the mean of every summary by reading and arm."""
-    from tasklift.lab.runs import show
-
-    _print(*show(run))
-
-
-@runs.command("compare")
-@click.argument("first", type=click.Path(path_type=Path))
-@click.argument("second", type=click.Path(path_type=Path), required=False)
-@click.option("--arms", nargs=2, help="Two arms of FIRST: paired differences of every summary.")
-def runs_compare(first: Path, second: Path | None, arms: tuple[str, str] | None) -> None:
-    """Compare two experiments, or two arms of one."""
-    from tasklift.lab.runs import compare
-
-    _print(*compare(first, second, arms=arms))
-
-
-@runs.command("export")
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="A .csv or .parquet file.")
-@click.option("--what", type=click.Choice(["trials", "cells"]), default="trials", show_default=True)
-def runs_export(run: Path, out: Path, what: str) -> None:
-    """Write an experiment's rows to a file."""
-    from tasklift.lab.runs import export
-
-    click.echo(f"{export(run, out, what=what)} rows: {out}")
-
-
-def _print(*tables: Any) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console()
-    for content in tables:
-        table = Table(title=Text(content.title), title_justify="left")
-        for header in content.headers:
-            table.add_column(Text(str(header)))
-        for row in content.rows:
-            table.add_row(*(Text(f"{value:.4g}" if isinstance(value, float) else str(value)) for value in row))
-        console.print(table)
 
 
 class _progress:

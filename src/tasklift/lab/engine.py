@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import queue
 import random
 import signal
@@ -16,12 +15,10 @@ from itertools import groupby
 from typing import Protocol
 
 from tasklift.errors import TaskliftError
+from tasklift.lab.cell import Cell, CellResult
 from tasklift.lab.packing import Detail, Packed
-from tasklift.lab.spec import Cell, CellResult
 from tasklift.lab.store import Store
-
-Work = Callable[[Cell], CellResult]
-Group = list[Cell]
+from tasklift.lab.work import Group, Stopped, Work, compute, cores
 
 
 class Progress(Protocol):
@@ -60,9 +57,9 @@ def run(
     ----------
     work
         ``work(cell) -> CellResult``, a function of the cell alone. On threads it should release the GIL (a
-        Numba kernel does). The arms of one (reading, map, seed) run one after another in the same worker, so
-        a small cache in ``work`` is enough for what they share. For Ray it must be picklable: a module-level
-        function, or ``functools.partial`` of one.
+        Numba kernel does). The cells of one group (all axes but the last one) run one after another in the
+        same worker, so a small cache in ``work`` is enough for what they share. For Ray it must be picklable: a
+        module-level function, or ``functools.partial`` of one.
     engine
         ``"threads"`` or ``"ray"``; both give the same rows.
     workers
@@ -79,9 +76,12 @@ def run(
     """
     start = time.perf_counter()
     wanted = list(dict.fromkeys(cells))
-    store.plan(len(wanted))
+    for cell in wanted:
+        if not store.spec.covers(cell):
+            raise TaskliftError(f"cell {cell}: not of this experiment, whose axes are {_axes(store)}")
     there = store.done()
     missing = [cell for cell in wanted if cell not in there]
+    store.plan(len(missing))
     done, computed = len(wanted) - len(missing), 0
     with _stop_at_interrupt(progress, lambda: (done, len(wanted))) as stopped:
         groups = _groups_to_do(store, missing)
@@ -100,7 +100,10 @@ def run(
     return Ran(len(wanted), computed, time.perf_counter() - start)
 
 
-Stopped = Callable[[], bool]
+def _axes(store: Store) -> str:
+    return "; ".join(f"{axis}: {', '.join(list(values)[:3])}, …" for axis, values in store.spec.axes.items())
+
+
 Engine = Callable[[Iterator[Group], Work, Detail, Stopped], Generator[Packed, None, None]]
 
 
@@ -119,11 +122,6 @@ def _engine(name: str, workers: int | None, address: str | None) -> Engine:
             groups, work, detail, stopped, workers=workers, address=address
         )
     raise TaskliftError(f"engine {name!r}: expected 'threads' or 'ray'")
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _groups_to_do(store: Store, missing: list[Cell]) -> Iterator[Group]:
@@ -160,17 +158,6 @@ def _stop_at_interrupt(progress: Progress | None, count: Callable[[], tuple[int,
         yield flag.is_set
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def compute(work: Work, cell: Cell, detail: Detail) -> Packed:
-    """Do one cell's work and pack it; errors name the cell."""
-    try:
-        return Packed.of(cell, work(cell), detail)
-    except TaskliftError as error:
-        raise TaskliftError(f"cell {cell}: {error}") from error
-    except Exception as error:
-        error.add_note(f"while computing the cell {cell}")
-        raise
 
 
 def threads(
@@ -229,7 +216,7 @@ def recompute(store: Store, cell: Cell, work: Work) -> CellResult:
     result = work(cell)
     if Packed.of(cell, result, "summary") != Packed.of(cell, kept, "summary"):
         raise TaskliftError(
-            f"{store.path}: cell {cell} gives another summary now; tasklift {store.origins()[cell]} wrote "
-            "it: install that release to read its rows"
+            f"{store.path}: cell {cell} gives another summary now; tasklift {store.release} wrote it: install that "
+            "release to read its rows"
         )
     return result

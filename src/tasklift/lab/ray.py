@@ -11,8 +11,8 @@ from collections.abc import Generator, Iterator
 from typing import Any
 
 from tasklift.errors import TaskliftError
-from tasklift.lab.engine import Group, Stopped, Work, compute, cores
 from tasklift.lab.packing import Detail, Packed
+from tasklift.lab.work import Group, Stopped, Work, compute, cores
 
 _RETRIES = 5  # of a group whose worker or node died; tasks keep no state, so repeating one is safe
 

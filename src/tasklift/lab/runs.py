@@ -1,10 +1,11 @@
-"""What ``tasklift runs`` does: find experiments, show one, compare two or two arms, export rows."""
+"""What ``tasklift runs`` does: find experiments, show one, compare two or two values of an axis, export rows."""
 
 from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,8 +15,9 @@ import numpy as np
 from tasklift import stats
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
-from tasklift.lab.spec import Cell, differences
-from tasklift.lab.store import FILE_NAME, Store
+from tasklift.lab.cell import Cell
+from tasklift.lab.file import FILE_NAME
+from tasklift.lab.store import Store
 
 _CELLS_AT_ONCE = 500  # of an export: some 10 MB
 
@@ -38,40 +40,50 @@ def find(folder: str | os.PathLike[str]) -> Table:
         place, size = str(path.parent.relative_to(root)), path.stat().st_size / 1e6
         try:
             with Store.read(path) as store:
-                of = store.planned or len(store)
-                cells = f"{len(store)} of {of}"
+                cells = f"{len(store)} of {store.planned}"
                 rows.append([place, store.spec.name, store.spec.id[:12], cells, store.detail, round(size, 1)])
         except TaskliftError as error:
             rows.append([place, str(error), "", "", "", round(size, 1)])
     return Table(f"Experiments in {root}", ["folder", "name", "spec", "cells", "detail", "MB"], rows)
 
 
-def show(path: str | os.PathLike[str]) -> list[Table]:
-    """Show one experiment: its settings, and the mean of every summary by reading and arm."""
+def show(path: str | os.PathLike[str], *, over: Sequence[str] | None = None) -> list[Table]:
+    """Show one experiment: its settings and axes, and the mean of every summary over some axes.
+
+    Parameters
+    ----------
+    path
+        The experiment's folder or file.
+    over
+        The axes over which to take means; by default those that the experiment names.
+
+    Raises
+    ------
+    TaskliftError
+        If there is no experiment, it is damaged, or it has no such axis.
+    """
     with Store.read(path) as store:
         facts = {
             "name": store.spec.name,
             "spec": store.spec.id,
-            "cells": f"{len(store)} of {store.planned or len(store)}",
+            "cells": f"{len(store)} of {store.planned}",
             "detail": store.detail,
-            "written by": ", ".join(f"tasklift {version}" for version in sorted(set(store.origins().values()))),
+            "written by": f"tasklift {store.release}",
         }
         settings = {f"settings.{key}": canonical_json(value) for key, value in store.spec.settings.items()}
-        means: dict[tuple[str, str], dict[str, list[float]]] = {}
-        counts: dict[tuple[str, str], int] = {}
+        axes = {f"axes.{axis}": ", ".join(values) for axis, values in store.spec.axes.items()}
+        by = _others(store, over)
+        means: dict[tuple[str, ...], list[dict[str, float]]] = {}
         for cell, summary in store.outlines():
-            group = means.setdefault((cell.reading, cell.arm), {})
-            counts[cell.reading, cell.arm] = counts.get((cell.reading, cell.arm), 0) + 1
-            for name, value in _numbers(summary).items():
-                group.setdefault(name, []).append(value)
-    names = sorted({name for group in means.values() for name in group})
+            means.setdefault(tuple(cell[axis] for axis in by), []).append(_numbers(summary))
+    names = sorted({name for group in means.values() for summary in group for name in summary})
     rows = [
-        [*key, counts[key], *(float(np.mean(group[name])) if name in group else None for name in names)]
+        [*key, len(group), *(_mean([summary[name] for summary in group if name in summary]) for name in names)]
         for key, group in means.items()
     ]
     return [
-        Table(str(path), ["", ""], [[key, value] for key, value in (facts | settings).items()]),
-        Table("Means over cells", ["reading", "arm", "cells", *names], rows),
+        Table(str(path), ["", ""], [[key, value] for key, value in (facts | settings | axes).items()]),
+        Table("Means over cells", [*by, "cells", *names], rows),
     ]
 
 
@@ -79,40 +91,60 @@ def compare(
     first: str | os.PathLike[str],
     second: str | os.PathLike[str] | None = None,
     *,
-    arms: tuple[str, str] | None = None,
+    between: tuple[str, str, str] | None = None,
+    over: Sequence[str] | None = None,
     seed: int = 0,
 ) -> list[Table]:
-    """Compare the cells that two experiments share, or two arms of one (then ``second`` may be left out).
+    """Compare the cells that two experiments share, or two values of an axis of one.
+
+    Parameters
+    ----------
+    first, second
+        Folders or files; ``second`` may be left out where ``between`` is given.
+    between
+        An axis and two of its values: ``("arm", "direct", "copy")``.
+    over
+        The axes over which differences are paired, from the outermost: the last one repeats, within strata of the
+        others. By default those that the first experiment names.
+    seed
+        Of the resampling.
 
     Returns
     -------
-    One table of the settings that differ (two experiments only), and one of paired differences, second minus
-    first, of every summary: mean, 95 % interval over seeds within maps, p after Holm over all rows.
+    list of Table
+        The settings that differ (two experiments only), and paired differences, second minus first, of every
+        summary: mean, 95 % interval, p after Holm over all rows.
+
+    Raises
+    ------
+    TaskliftError
+        If the two have no cells in common, or one is damaged.
     """
-    if second is None and arms is None:
-        raise TaskliftError("runs compare: give two experiments, or one and two of its arms")
+    if second is None and between is None:
+        raise TaskliftError("runs compare: give two experiments, or one and --between AXIS=FIRST,SECOND")
+    axis, *values = between or ("", None, None)
     other = first if second is None else second
     with Store.read(first) as a, Store.read(other) as b:
-        pair = f"{arms[1]} - {arms[0]}" if arms else ""
-        left, right = _keyed(a, arms and arms[0], pair), _keyed(b, arms and arms[1], pair)
-        changed = differences(a.spec.settings, b.spec.settings)
+        over = list(a.spec.over) if over is None else list(over)
+        by = [name for name in _others(a, over) if name != axis]
+        left, right = (_keyed(store, axis, value) for store, value in zip((a, b), values, strict=True))
+        changed = a.spec.conflicts(b.spec)
     shared = sorted(left.keys() & right.keys())
     if not shared:
-        there = sorted({key[1] for key in left.keys() | right.keys()})
-        raise TaskliftError(f"{first}, {other}: no cells in common for arms {arms or there}; `runs show` lists them")
+        asked = f" for {axis} {values[0]} and {values[1]}" if between else ""
+        raise TaskliftError(f"{first}, {other}: no cells in common{asked}; `tasklift runs show` lists what there is")
     rows, p = [], []
-    for reading, arm in sorted({key[:2] for key in shared}):
-        keys = [key for key in shared if key[:2] == (reading, arm)]
-        strata = [key[2] for key in keys]
-        for name in sorted(set.intersection(*(set(left[key]) & set(right[key]) for key in keys))):
-            x, y = (np.array([side[key][name] for key in keys]) for side in (left, right))
+    for group in sorted({tuple(cell[name] for name in by) for cell in shared}):
+        cells = [cell for cell in shared if tuple(cell[name] for name in by) == group]
+        strata = [", ".join(cell[name] for name in over[:-1]) for cell in cells]
+        for name in sorted(set.intersection(*(set(left[cell]) & set(right[cell]) for cell in cells))):
+            x, y = (np.array([side[cell][name] for cell in cells]) for side in (left, right))
             found = stats.paired_difference(y, x, strata=strata, seed=seed)
             p.append(stats.sign_flip_test(y - x, seed=seed))
-            rows.append([reading, arm, name, float(x.mean()), float(y.mean()), str(found), len(keys)])
+            rows.append([*group, name, float(x.mean()), float(y.mean()), str(found), len(cells)])
     rows = [[*row, float(q)] for row, q in zip(rows, stats.holm(p) if p else [], strict=True)]
-    headers = ["reading", "arm", "summary", "first", "second", "difference [95 %]", "pairs", "p (Holm)"]
-    title = "Paired differences, second minus first"
-    tables = [Table(title, headers, rows)]
+    headers = [*by, "summary", *(values if between else ("first", "second")), "difference [95 %]", "pairs", "p (Holm)"]
+    tables = [Table("Paired differences, second minus first", headers, rows)]
     if second is not None:
         tables.insert(0, Table("Settings that differ", ["first, not second"], [[line] for line in changed]))
     return tables
@@ -124,7 +156,7 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: s
     Parameters
     ----------
     what
-        ``"trials"``: a row per trial, with spec (the first 12 digits of its id), version, cell, stage, trial
+        ``"trials"``: a row per trial, with spec (the first 12 digits of its id), release, axes, stage, trial
         (from 1) and every column.
         ``"cells"``: a row per cell with its summaries.
     """
@@ -157,15 +189,25 @@ def _numbers(summary: dict[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in summary.items() if isinstance(value, (int, float))}
 
 
-def _keyed(store: Store, arm: str | None, pair: str) -> dict[tuple[str, str, str, int], dict[str, float]]:
-    """Summaries by (reading, arm, map, seed); of one arm only if it is named, and then as `pair`."""
-    return {
-        (cell.reading, pair if arm else cell.arm, cell.map, cell.seed): _numbers(summary)
-        for cell, summary in store.outlines(arm=arm)
-    }
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None
 
 
-_KEYS: dict[str, type] = {"spec": str, "version": str, "reading": str, "map": str, "seed": int, "arm": str}
+def _others(store: Store, over: Sequence[str] | None) -> list[str]:
+    """The axes over which no means are taken."""
+    over = store.spec.over if over is None else over
+    if unknown := [axis for axis in over if axis not in store.spec.axes]:
+        raise TaskliftError(f"{store.path}: no axis {unknown[0]!r}; the axes are {', '.join(store.spec.axes)}")
+    return [axis for axis in store.spec.axes if axis not in over]
+
+
+def _keyed(store: Store, axis: str, value: str | None) -> dict[Cell, dict[str, float]]:
+    """Summaries by cell; where an axis is compared, of one value of it, and by the other axes."""
+    found = {}
+    for cell, summary in store.outlines(**({axis: value} if axis else {})):
+        others = {name: value for name, value in cell.items if name != axis}
+        found[Cell.of(others, others.values())] = _numbers(summary)
+    return found
 
 
 def _parts(store: Store, what: str) -> Iterator[tuple[Cell, str, dict[str, list[Any]]]]:
@@ -189,7 +231,10 @@ def _columns(store: Store, what: str) -> dict[str, type]:
     for name, types in sorted(found.items()):
         mixed = float if types <= {bool, int, float} else str
         kinds[name] = types.pop() if len(types) == 1 else mixed
-    own = _KEYS if what == "cells" else _KEYS | {"stage": str, "trial": int}
+    own: dict[str, type] = {"spec": str, "release": str}
+    for axis, kept in store.spec.axes.items():
+        own[axis] = int if all(re.fullmatch("0|-?[1-9][0-9]{0,17}", value) for value in kept) else str
+    own |= {} if what == "cells" else {"stage": str, "trial": int}
     if clash := kinds.keys() & own.keys():
         raise TaskliftError(f"{store.path}: columns named {sorted(clash)} clash with the cell's own; rename them")
     return own | kinds
@@ -197,12 +242,11 @@ def _columns(store: Store, what: str) -> dict[str, type]:
 
 def _batches(store: Store, what: str, columns: dict[str, type]) -> Iterator[dict[str, list[Any]]]:
     """Yield the rows column by column, some hundred cells at a time; None where a cell lacks a column."""
-    versions, spec = store.origins(), store.spec.id[:12]
+    of = {"spec": store.spec.id[:12], "release": store.release}
     batch: dict[str, list[Any]] = {name: [] for name in columns}
     for count, (cell, stage, given) in enumerate(_parts(store, what), 1):
         n = len(next(iter(given.values()), [None]))
-        own = (spec, versions[cell], cell.reading, cell.map, cell.seed, cell.arm)
-        known = dict(zip(_KEYS, own, strict=True)) | {"stage": stage}
+        known = of | cell.axes | {"stage": stage}
         for name, kind in columns.items():
             if name in given:
                 values = given[name]
@@ -210,7 +254,7 @@ def _batches(store: Store, what: str, columns: dict[str, type]) -> Iterator[dict
             elif name == "trial":
                 batch[name] += range(1, n + 1)
             else:
-                batch[name] += [known.get(name)] * n
+                batch[name] += [kind(known[name]) if name in known else None] * n
         if count % _CELLS_AT_ONCE == 0:
             yield batch
             batch = {name: [] for name in columns}

@@ -1,42 +1,93 @@
-"""What an experiment is: a frozen specification, its cells, and what a cell gives."""
+"""What an experiment is: the settings that all its rows share, and the axes along which they differ."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
+from tasklift.lab.cell import Cell, axis_name, axis_value, grid
 
 
 @dataclass(frozen=True)
 class Spec:
-    """Everything that decides an experiment's results, as plain JSON; two equal specs give equal rows.
+    """Everything that decides an experiment's rows, and which rows are asked for, as plain JSON.
+
+    The *settings* are what all rows share. The *axes* are along what they differ: for each axis its values, each
+    with what it stands for (a building's content, a rule). A row is decided by the settings and by its own values.
+    So an experiment may be given more values later, such as more seeds: it stays the same experiment.
 
     Parameters
     ----------
     name
         A label for people; not part of the identity.
     canonical
-        The settings as canonical JSON. Use :meth:`of` to make one from a mapping.
+        The settings as canonical JSON.
+    plan
+        The axes as canonical JSON: ``[[axis, [[value, what it stands for], …]], …]``.
+    over
+        The axes over which means are taken, from the outermost; the last of them is what repeats independently.
+
+    Examples
+    --------
+    >>> spec = Spec.of("drills", {"trials": 50}, {"seed": range(3), "arm": ["direct", "drill"]}, over=["seed"])
+    >>> more = Spec.of("drills", {"trials": 50}, {"seed": range(9), "arm": ["direct", "drill"]}, over=["seed"])
+    >>> len(spec.cells()), len(more.cells()), spec.id == more.id
+    (6, 18, True)
     """
 
     name: str
     canonical: str
+    plan: str
+    over: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, name: str, settings: Mapping[str, Any]) -> Spec:
-        """Freeze ``settings`` (maps, seeds, arms, reading, reinforcement, budgets, …; JSON values only)."""
+    def of(
+        cls,
+        name: str,
+        settings: Mapping[str, Any],
+        axes: Mapping[str, Iterable[str | int] | Mapping[str, Any]],
+        *,
+        over: Iterable[str] = (),
+    ) -> Spec:
+        """Freeze an experiment.
+
+        Parameters
+        ----------
+        name
+            A label for people.
+        settings
+            What all rows share: budgets, rules, …; JSON values only.
+        axes
+            For each axis its values, or a mapping from its values to what they stand for (JSON), such as
+            ``{"map": {"office": building.content_id}, "seed": range(5), "arm": ["direct", "copy"]}``.
+        over
+            The axes over which ``tasklift runs`` takes means, from the outermost, such as ``["map", "seed"]``.
+
+        Raises
+        ------
+        TaskliftError
+            If a value cannot be written as JSON, an axis or a value may not be called so, or ``over`` names an
+            axis that is not there.
+        """
+        plan = []
+        for axis, values in axes.items():
+            meant = values if isinstance(values, Mapping) else dict.fromkeys(values)
+            plan.append([axis_name(axis), [[axis_value(axis, value), meaning] for value, meaning in meant.items()]])
+            if not meant:
+                raise TaskliftError(f"spec {name!r}: the axis {axis} has no values")
+        if not plan or (unknown := [axis for axis in over if axis not in axes]):
+            found = f"'over' names {unknown[0]!r}, which is not among them" if plan else "found none"
+            raise TaskliftError(f"spec {name!r}: expected axes such as {{'seed': range(5)}}; {found}")
         try:
-            return cls(name, canonical_json(dict(settings)))
+            return cls(name, canonical_json(dict(settings)), canonical_json(plan), tuple(over))
         except (TypeError, ValueError) as error:
-            raise TaskliftError(f"spec {name!r}: settings must be plain JSON values: {error}") from error
+            raise TaskliftError(f"spec {name!r}: settings and axes must be plain JSON values: {error}") from error
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -44,60 +95,38 @@ class Spec:
         copy: dict[str, Any] = json.loads(self.canonical)
         return copy
 
+    @cached_property
+    def axes(self) -> dict[str, dict[str, Any]]:
+        """For each axis its values, with what they stand for (None where the name says it all)."""
+        return {axis: dict(values) for axis, values in json.loads(self.plan)}
+
     @property
     def id(self) -> str:
-        """Content id: the sha256 of the canonical settings, 64 hex digits."""
-        return hashlib.sha256(self.canonical.encode()).hexdigest()
+        """Content id: sha256 of the settings and the names of the axes, 64 hex digits; more values do not change it."""
+        return hashlib.sha256(canonical_json([self.canonical, list(self.axes)]).encode()).hexdigest()
 
+    def cells(self) -> list[Cell]:
+        """All combinations of the values of the axes; the last axis varies fastest."""
+        return grid(**self.axes)
 
-@dataclass(frozen=True, order=True)
-class Cell:
-    """The unit of work, of resume and of commit: one learner on one map with one seed under one reading."""
+    def covers(self, cell: Cell) -> bool:
+        """Whether the cell is one of the combinations."""
+        return cell.names == tuple(self.axes) and all(value in self.axes[axis] for axis, value in cell.items)
 
-    reading: str
-    map: str
-    seed: int
-    arm: str
+    def joined(self, other: Spec) -> Spec:
+        """The same experiment with the values of both."""
+        axes = [[axis, list((values | other.axes[axis]).items())] for axis, values in self.axes.items()]
+        return replace(other, plan=canonical_json(axes))
 
-    def __str__(self) -> str:
-        return f"{self.reading} / {self.map} / seed {self.seed} / {self.arm}"
-
-    @property
-    def group(self) -> tuple[str, str, int]:
-        """Reading, map and seed: arms that share them are paired, and computed one after another."""
-        return self.reading, self.map, self.seed
-
-
-@dataclass(frozen=True)
-class CellResult:
-    """What a cell gives.
-
-    Parameters
-    ----------
-    stages
-        ``{stage: {column: array (trials,)}}``, bool, integer or float columns in trial order; the columns of
-        one stage are equally long.
-    summary
-        Named scalars (JSON numbers, strings or None), kept in every store.
-    attachments
-        Named arrays of any shape, or JSON values: learned weights, for example.
-    """
-
-    stages: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
-    summary: Mapping[str, Any] = field(default_factory=dict)
-    attachments: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for stage, columns in self.stages.items():
-            shapes = {np.shape(column) for column in columns.values()}
-            if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-                raise TaskliftError(f"stage {stage!r}: columns of shapes {sorted(shapes)}, expected one (trials,)")
-
-
-def grid(readings: Iterable[str], maps: Iterable[str], seeds: Iterable[int], arms: Iterable[str]) -> list[Cell]:
-    """All combinations, the arms of one (reading, map, seed) next to each other."""
-    maps, seeds, arms = list(maps), list(seeds), list(arms)
-    return [Cell(r, m, int(s), a) for r in readings for m in maps for s in seeds for a in arms]
+    def conflicts(self, other: Spec) -> list[str]:
+        """Say in what two experiments differ, so that their rows do not belong together: ``path: this, not that``."""
+        if list(self.axes) != list(other.axes):
+            return [f"axes {', '.join(self.axes)}, not {', '.join(other.axes)}"]
+        found = differences(self.settings, other.settings)
+        for axis, values in self.axes.items():
+            for value in values.keys() & other.axes[axis].keys():
+                found += differences(values[value], other.axes[axis][value], f"{axis} {value}")
+        return found
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[str]:

@@ -1,17 +1,7 @@
 """One SQLite file per experiment: a transaction per cell, so that a kill at any moment loses only open work.
 
-Layout (``application_id`` 0x7461736b, ``user_version`` 1)::
-
-    meta         key, value            the spec (JSON), its id and name, the detail kept
-    cells        id, spec, version, reading, map, seed, arm, summary (JSON), crc      one row per cell
-    trials       cell, stage, n, columns                              one row per cell and stage, packed
-    attachments  cell, name, data                                     TEXT is JSON, BLOB a packed array
-    summaries    a view: one row per cell and summary value, for SQL
-
-:mod:`tasklift.lab.packing` says how arrays are packed; :meth:`Store.select` and ``runs export`` unpack them.
-
-The journal is a write-ahead log with ``synchronous = NORMAL``: a killed process loses nothing that was
-committed; a power cut may lose the last cells, which a resumed run computes again, and damages nothing.
+Every reader goes through the same few methods, which compare checksums: a damaged cell is an error, never a number.
+:mod:`tasklift.lab.file` has the layout.
 """
 
 from __future__ import annotations
@@ -20,72 +10,73 @@ import hashlib
 import json
 import os
 import sqlite3
-import time
-import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import tasklift
 from tasklift.errors import TaskliftError
-from tasklift.lab.packing import Detail, Packed, unpack
-from tasklift.lab.spec import Cell, CellResult, Spec, differences
-
-FILE_NAME = "experiment.sqlite"
-
-_APPLICATION = 0x7461736B
-_VERSION = 1
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS cells (id INTEGER PRIMARY KEY, spec TEXT NOT NULL, version TEXT NOT NULL,
-  reading TEXT NOT NULL, map TEXT NOT NULL, seed INTEGER NOT NULL, arm TEXT NOT NULL,
-  summary TEXT NOT NULL, crc INTEGER NOT NULL, UNIQUE (reading, map, seed, arm));
-CREATE TABLE IF NOT EXISTS trials (cell INTEGER NOT NULL REFERENCES cells, stage TEXT NOT NULL,
-  n INTEGER NOT NULL, columns BLOB NOT NULL, PRIMARY KEY (cell, stage)) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS attachments (cell INTEGER NOT NULL REFERENCES cells, name TEXT NOT NULL,
-  data NOT NULL, PRIMARY KEY (cell, name)) WITHOUT ROWID;
-CREATE VIEW IF NOT EXISTS summaries AS SELECT reading, map, seed, arm, key AS name, value
-  FROM cells, json_each(cells.summary);
-"""
+from tasklift.lab import file
+from tasklift.lab.cell import Cell, CellResult, axis_value
+from tasklift.lab.file import FILE_NAME, Meta, explained
+from tasklift.lab.packing import Detail, Packed, checksum, unpack
+from tasklift.lab.spec import Spec
+from tasklift.text import one_line
 
 
-@contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Turn SQLite's and the codec's errors into one line about the file."""
-    try:
-        yield
-    except (zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise TaskliftError(f"{path}: damaged ({error}); restore a copy, or move it away and run again") from error
-    except sqlite3.Error as error:
-        text = str(error)
-        if "full" in text:
-            line = "the disk is full; what was committed is safe: free some space and run the same command again"
-        elif "disk I/O" in text:
-            line = f"cannot be written ({text}: full disk, quota, or failing drive); what was committed is safe"
-        elif "readonly" in text or "unable to open" in text:
-            line = f"cannot be opened or written ({text}); check folder and permissions, or choose another --out"
-        elif "not a database" in text or "malformed" in text or "decode" in text or "no such" in text:
-            line = f"damaged, or not an experiment file ({text}); restore a copy, or move it away and run again"
-        elif "locked" in text:
-            line = "another process holds it for too long; try again when that one is done"
-        else:
-            line = f"SQLite says: {text}"
-        raise TaskliftError(f"{path}: {line}") from error
+class _Row(NamedTuple):
+    """A cell as it is kept, its checksum compared."""
+
+    key: int
+    cell: Cell
+    summary: str
+    contents: dict[str, dict[str, int]]
 
 
 class Store:
-    """An open experiment file. Use :meth:`open` to run, :meth:`read` to look; both are context managers."""
+    """An open experiment file. Use :meth:`open` to run, :meth:`read` to look; both are context managers.
 
-    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+    Reading goes by axes: ``store.curves("target", "steps", arm="copy")``. Rows come in the order of the grid: axis
+    by axis, numbers sorted as numbers. A store that was opened with a spec shows the cells which that spec asks for;
+    one that was opened to read shows all that are there.
+
+    Attributes
+    ----------
+    path
+        The file.
+    spec
+        The experiment, with the values asked for (:meth:`open`) or all that were ever asked for (:meth:`read`).
+    detail
+        ``"rows"`` or ``"summary"``.
+    release
+        The release of tasklift whose rows these are.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from tasklift.lab import CellResult, run
+    >>> spec = Spec.of("squares", {}, {"seed": range(3), "arm": ["a", "b"]})
+    >>> def work(cell):
+    ...     return CellResult({"target": {"steps": np.arange(2) + int(cell["seed"]) ** 2}}, {"seed": int(cell["seed"])})
+    >>> with tempfile.TemporaryDirectory() as folder, Store.open(f"{folder}/{FILE_NAME}", spec) as store:
+    ...     ran = run(store, spec.cells(), work)
+    ...     curves = store.curves("target", "steps", arm="b")
+    >>> ran.computed, curves.values.tolist(), curves.column("seed").tolist()
+    (6, [[0.0, 1.0], [1.0, 2.0], [4.0, 5.0]], ['0', '1', '2'])
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, asked: Spec | None = None) -> None:
         self.path = path
         self._db = connection
-        self.spec, self.detail = _identity(connection, path)
+        there = Meta.read(connection, path)
+        self.spec, self.detail, self.release = asked or there.spec, there.detail, there.release
+        self._id, self._axes = there.spec.id, tuple(there.spec.axes)
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], spec: Spec, *, detail: Detail = "rows") -> Store:
@@ -95,50 +86,68 @@ class Store:
         ----------
         path
             The file, usually ``FOLDER/experiment.sqlite``.
+        spec
+            The experiment. A file of the same experiment may know other values of its axes; both stay.
         detail
-            ``"rows"`` keeps everything; ``"summary"`` only the summaries: see :meth:`recompute`.
+            ``"rows"`` keeps everything; ``"summary"`` only the summaries: see :func:`tasklift.lab.recompute`.
 
         Raises
         ------
         TaskliftError
             If the file holds another experiment (the message names what differs; nothing was touched), comes
-            from a newer release, is damaged, or cannot be written.
+            from another release, is damaged, or cannot be written.
         """
         where = Path(path)
         if not where.parent.is_dir():
             raise TaskliftError(f"{where.parent}: no such folder; create it first")
-        with _explained(where):
+        asked = Meta(spec, detail, tasklift.__version__, 0)
+        with explained(where):
             connection = sqlite3.connect(where, timeout=60, isolation_level=None)
             try:
-                if not _is_empty(connection, where):
-                    _refuse_another(connection, where, spec, detail)
-                _write_ahead(connection)
+                connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, file.MOST_BYTES)
+                if not file.is_empty(connection, where):
+                    Meta.read(connection, where).refuse_another(asked, where)
+                file.write_ahead(connection)
                 connection.execute("BEGIN IMMEDIATE")
-                for statement in _SCHEMA.split(";\n"):
-                    connection.execute(statement)
-                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-                connection.execute(f"PRAGMA user_version = {_VERSION}")
-                rows = {"spec": spec.canonical, "spec_id": spec.id, "name": spec.name, "detail": detail}
-                connection.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?)", rows.items())
+                if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() == (0,):
+                    for statement in file.schema(list(spec.axes)):
+                        connection.execute(statement)
+                    connection.execute(f"PRAGMA application_id = {file.APPLICATION}")
+                    connection.execute(f"PRAGMA user_version = {file.VERSION}")
+                    asked.write(connection)
+                else:
+                    there = Meta.read(connection, where)
+                    there.refuse_another(asked, where)  # two processes may have created it at once
+                    joined = there._replace(spec=there.spec.joined(spec))
+                    if joined != there:
+                        joined.write(connection)
                 connection.execute("COMMIT")
-                _refuse_another(connection, where, spec, detail)  # two processes may have created it at once
-                return cls(where, connection)
+                return cls(where, connection, spec)
             except BaseException:
                 connection.close()
                 raise
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Store:
-        """Open an existing file, or the one in a folder, for reading only."""
+        """Open an existing file, or the one in a folder, for reading only.
+
+        Raises
+        ------
+        TaskliftError
+            If there is none, or it is damaged, of an older layout, or of a newer release.
+        """
         where = Path(path)
         where = where / FILE_NAME if where.is_dir() else where
         if not where.is_file():
             raise TaskliftError(f"{where}: no such experiment; `tasklift runs list FOLDER` shows which there are")
-        with _explained(where):
-            connection = _connect_to_read(where)
+        with explained(where):
+            connection = file.connect_to_read(where)
             try:
-                if _is_empty(connection, where):
-                    raise TaskliftError(f"{where}: an empty experiment file; run the experiment first")
+                if file.is_empty(connection, where):
+                    raise TaskliftError(
+                        f"{where}: an empty experiment file; run the experiment first (after a kill, {where.name}-wal "
+                        "belongs to it: copy both)"
+                    )
                 return cls(where, connection)
             except BaseException:
                 connection.close()
@@ -146,7 +155,7 @@ class Store:
 
     def close(self) -> None:
         """Close the file; the last one to close it folds the write-ahead log into it."""
-        with _explained(self.path):
+        with explained(self.path):
             self._db.close()
 
     def __enter__(self) -> Store:
@@ -159,10 +168,22 @@ class Store:
 
     # ------------------------------------------------------------ writing
 
-    def plan(self, total: int) -> None:
-        """Note how many cells the latest run asked for, for those who look at an unfinished experiment."""
-        with _explained(self.path):
-            self._db.execute("INSERT OR REPLACE INTO meta VALUES ('planned', ?)", (str(total),))
+    def plan(self, missing: int) -> None:
+        """Note how many cells are still to come, for those who look at an unfinished experiment."""
+        with self._transaction():
+            (count,) = self._db.execute("SELECT count(*) FROM cells").fetchone()
+            there = Meta.read(self._db, self.path)
+            if there.planned != count + missing:
+                there._replace(planned=count + missing).write(self._db)
+
+    def mend(self) -> int:
+        """Remove damaged cells, so that a run computes them again; return how many there were."""
+        with self._transaction():
+            damaged = [row if isinstance(row, int) else row.key for row in self._rows({}) if not self._intact(row)]
+            self._db.executemany("DELETE FROM cells WHERE id = ?", [(key,) for key in damaged])
+            for table in ("trials", "attachments"):
+                self._db.execute(f"DELETE FROM {table} WHERE cell NOT IN (SELECT id FROM cells)")
+        return len(damaged)
 
     def add(self, packed: Packed) -> bool:
         """Commit one cell in one transaction. False if it was there already, with the same content.
@@ -172,181 +193,215 @@ class Store:
         TaskliftError
             If it was there with other content, so the work is not a function of the cell; the old one stays.
         """
-        cell, crc = packed.cell, packed.crc
-        with _explained(self.path):
+        cell, contents = packed.cell, packed.contents
+        crc = self._checksum(cell.values, packed.summary, contents)
+        with self._transaction():
+            marks = ", ".join("?" * (4 + len(cell.items)))
+            cursor = self._db.execute(
+                f"INSERT OR IGNORE INTO cells VALUES ({marks})", (None, packed.summary, contents, crc, *cell.values)
+            )
+            if cursor.rowcount:
+                key = cursor.lastrowid
+                self._db.executemany("INSERT INTO trials VALUES (?, ?, ?, ?)", [(key, *row) for row in packed.trials])
+                self._db.executemany(
+                    "INSERT INTO attachments VALUES (?, ?, ?)", [(key, *row) for row in packed.attachments]
+                )
+                return True
+            where = " AND ".join(f'"{axis}" = ?' for axis in cell.names)
+            there = self._db.execute(f"SELECT crc FROM cells WHERE {where}", cell.values).fetchone()
+        if there != (crc,):
+            raise TaskliftError(
+                f"{self.path}: cell {cell} is there with another result; the work must depend on the cell "
+                "alone: choose another --out"
+            )
+        return False
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        with explained(self.path):
             self._db.execute("BEGIN IMMEDIATE")
             try:
-                cursor = self._db.execute(
-                    "INSERT OR IGNORE INTO cells (spec, version, reading, map, seed, arm, summary, crc) "
-                    "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-                    (self.spec.id, tasklift.__version__, *_key(cell), packed.summary, crc),
-                )
-                if cursor.rowcount:
-                    key = cursor.lastrowid
-                    self._db.executemany(
-                        "INSERT INTO trials VALUES (?, ?, ?, ?)", [(key, *row) for row in packed.trials]
-                    )
-                    self._db.executemany(
-                        "INSERT INTO attachments VALUES (?, ?, ?)",
-                        [(key, *row) for row in packed.attachments],
-                    )
+                yield
                 self._db.execute("COMMIT")
             except BaseException:
                 with suppress(sqlite3.Error):  # a failed COMMIT may have rolled back by itself
                     self._db.execute("ROLLBACK")
                 raise
-            if cursor.rowcount:
-                return True
-            (there,) = self._db.execute(f"SELECT crc FROM cells WHERE {_WHERE}", _key(cell)).fetchone()
-        if there != crc:
-            raise TaskliftError(
-                f"{self.path}: cell {cell} is there with another result; the work must depend on the cell "
-                "alone, or the file comes from another release: choose another --out"
-            )
-        return False
 
     # ------------------------------------------------------------ reading
 
     def done(self) -> set[Cell]:
         """The cells that are there."""
-        with _explained(self.path):
-            return {Cell(*row) for row in self._db.execute("SELECT reading, map, seed, arm FROM cells")}
+        return {row.cell for row in self._selected({})}
 
     def __contains__(self, cell: Cell) -> bool:
-        with _explained(self.path):
-            return self._db.execute(f"SELECT 1 FROM cells WHERE {_WHERE}", _key(cell)).fetchone() is not None
+        return any(row.cell == cell for row in self._selected(cell.axes))
 
     def __len__(self) -> int:
-        with _explained(self.path):
-            (count,) = self._db.execute("SELECT count(*) FROM cells").fetchone()
-            return int(count)
+        return len(self._selected({}))
 
     @property
-    def planned(self) -> int | None:
-        """How many cells the latest run asked for."""
-        with _explained(self.path):
-            found = self._db.execute("SELECT value FROM meta WHERE key = 'planned'").fetchone()
-            return int(found[0]) if found else None
+    def planned(self) -> int:
+        """How many cells there will be when the latest run is done."""
+        with explained(self.path):
+            return Meta.read(self._db, self.path).planned
 
-    def origins(self) -> dict[Cell, str]:
-        """The release of tasklift that computed each cell."""
-        with _explained(self.path):
-            rows = self._db.execute("SELECT reading, map, seed, arm, version FROM cells")
-            return {Cell(*row[:4]): row[4] for row in rows}
-
-    def select(
-        self,
-        *,
-        reading: str | None = None,
-        map: str | None = None,
-        seed: int | None = None,
-        arm: str | None = None,
-        attachments: bool = False,
-    ) -> Iterator[tuple[Cell, CellResult]]:
-        """Yield cells with their results, ordered by reading, arm, map, seed; ``None`` means any."""
-        with _explained(self.path):
-            for key, cell, summary, crc in self._selected(reading, map, seed, arm):
-                packed = self._packed(key, cell, summary)
-                if not _intact(packed, crc):
-                    raise TaskliftError(f"{self.path}: cell {cell} is damaged; restore a copy, or run it afresh")
-                yield (
-                    cell,
-                    CellResult(
-                        {stage: unpack(data) for stage, _, data in packed.trials},
-                        json.loads(summary),
-                        {name: _attachment(data) for name, data in packed.attachments} if attachments else {},
-                    ),
-                )
-
-    def result(self, cell: Cell) -> CellResult:
-        """One cell's result with everything that the store keeps of it."""
-        for _, result in self.select(
-            reading=cell.reading, map=cell.map, seed=cell.seed, arm=cell.arm, attachments=True
-        ):
-            return result
-        raise TaskliftError(f"{self.path}: no cell {cell}; `tasklift runs show` lists what is there")
-
-    def curves(
-        self,
-        stage: str,
-        column: str,
-        *,
-        reading: str | None = None,
-        arm: str | None = None,
-        pad: float | None = None,
-    ) -> Curves:
-        """One column of one stage as a matrix, a row per cell, ordered by reading, arm, map, seed.
+    def select(self, *, attachments: bool = False, **axes: str | int | None) -> Iterator[tuple[Cell, CellResult]]:
+        """Yield cells with their results, in the order of the grid.
 
         Parameters
         ----------
+        attachments
+            Also read the attachments.
+        **axes
+            The value that cells must have on an axis; None means any.
+
+        Raises
+        ------
+        TaskliftError
+            If a cell is damaged, or there is no such axis.
+        """
+        for row in self._selected(axes):
+            with explained(self.path):
+                stages = {stage: unpack(data) for stage, _, data in self._trials(row)}
+                extra = {name: _attachment(data) for name, data in self._attachments(row)} if attachments else {}
+                yield row.cell, CellResult(stages, json.loads(row.summary), extra)
+
+    def result(self, cell: Cell) -> CellResult:
+        """One cell's result with everything that the store keeps of it."""
+        for _, result in self.select(attachments=True, **cell.axes):
+            return result
+        raise TaskliftError(f"{self.path}: no cell {cell}; `tasklift runs show` lists what is there")
+
+    def curves(self, stage: str, column: str, /, *, pad: float | None = None, **axes: str | int | None) -> Curves:
+        """One column of one stage as a matrix, a row per cell that has the stage, in the order of the grid.
+
+        Parameters
+        ----------
+        stage, column
+            Names that the work gave.
         pad
             Fills rows that ended early (a loss cap); without it, unequal rows are an error.
+        **axes
+            The value that cells must have on an axis; None means any.
+
+        Raises
+        ------
+        TaskliftError
+            If there are no such rows, they are of unequal length, or a cell is damaged.
         """
-        with _explained(self.path):
-            cells, rows = [], []
-            query = (
-                "SELECT reading, map, seed, arm, columns FROM cells JOIN trials ON cell = id AND stage = ?1 "
-                "WHERE (?2 IS NULL OR reading = ?2) AND (?3 IS NULL OR arm = ?3) "
-                "ORDER BY reading, arm, map, seed"
-            )
-            for *key, data in self._db.execute(query, (stage, reading, arm)):
-                columns = unpack(data)
-                if column not in columns:
-                    raise TaskliftError(f"{self.path}: stage {stage!r} has {sorted(columns)}, not {column!r}")
-                cells.append(Cell(*key))
-                rows.append(columns[column])
+        cells, rows = [], []
+        for row in self._selected(axes):
+            if stage not in row.contents["trials"]:
+                continue
+            with explained(self.path):
+                columns = unpack(self._trials(row, stage)[0][2])
+            if column not in columns:
+                raise TaskliftError(f"{self.path}: stage {stage!r} has {sorted(columns)}, not {column!r}")
+            cells.append(row.cell)
+            rows.append(columns[column])
         if not rows:
+            asked = "".join(f", {axis} {value}" for axis, value in axes.items() if value is not None)
             raise TaskliftError(
-                f"{self.path}: no rows of stage {stage!r}, reading {reading!r}, arm {arm!r} (a store of "
-                "summaries keeps none); `tasklift runs show` tells what is there"
+                f"{self.path}: no rows of stage {stage!r}{asked} (a store of summaries keeps none); "
+                "`tasklift runs show` tells what is there"
             )
         longest = max(map(len, rows))
         if pad is None and min(map(len, rows)) < longest:
             raise TaskliftError(f"{self.path}: stage {stage!r} has rows of unequal length; pass pad=")
         values = np.full((len(rows), longest), 0.0 if pad is None else pad)
-        for i, row in enumerate(rows):
-            values[i, : len(row)] = row
+        for i, values_of_one in enumerate(rows):
+            values[i, : len(values_of_one)] = values_of_one
         return Curves(values, cells)
 
-    def outlines(self, *, reading: str | None = None, arm: str | None = None) -> Iterator[tuple[Cell, dict[str, Any]]]:
+    def outlines(self, **axes: str | int | None) -> Iterator[tuple[Cell, dict[str, Any]]]:
         """Yield cells with their summaries only, which is quick, in the order of :meth:`select`."""
-        with _explained(self.path):
-            for _, cell, summary, _ in self._selected(reading, None, None, arm):
-                yield cell, json.loads(summary)
+        for row in self._selected(axes):
+            yield row.cell, json.loads(row.summary)
 
-    def summaries(self, name: str, *, reading: str | None = None, arm: str | None = None) -> Curves:
-        """One summary value, ``(n, 1)``, of the selected cells, ordered as :meth:`curves`; None is nan."""
+    def summaries(self, name: str, /, **axes: str | int | None) -> Curves:
+        """One summary value, ``(n, 1)``, of the selected cells, in the order of the grid; None is nan."""
         cells, values = [], []
-        for cell, summary in self.outlines(reading=reading, arm=arm):
-            if name not in summary:
-                raise TaskliftError(f"{self.path}: cell {cell} has {sorted(summary)}, but no {name!r}")
+        for cell, summary in self.outlines(**axes):
+            value = summary.get(name, "")
+            if isinstance(value, str):
+                numbers = sorted(key for key, of in summary.items() if not isinstance(of, str))
+                raise TaskliftError(f"{self.path}: cell {cell} has the numbers {numbers}, but no {name!r}")
             cells.append(cell)
-            values.append(np.nan if summary[name] is None else float(summary[name]))
+            values.append(np.nan if value is None else float(value))
         return Curves(np.array(values, dtype=np.float64).reshape(-1, 1), cells)
 
     def digest(self) -> str:
         """Fingerprint (sha256) of all results, whatever order they came in."""
-        total = hashlib.sha256(self.spec.id.encode())
-        with _explained(self.path):
-            for key, cell, summary, _ in self._selected(None, None, None, None):
-                packed = self._packed(key, cell, summary)
-                total.update(repr((_key(cell), summary, packed.trials, packed.attachments)).encode())
+        total = hashlib.sha256(self._id.encode())
+        for row in self._selected({}):
+            with explained(self.path):
+                parts = self._trials(row), self._attachments(row)
+                total.update(repr((row.cell.items, row.summary, *parts)).encode())
         return total.hexdigest()
 
-    def _selected(
-        self, reading: str | None, map: str | None, seed: int | None, arm: str | None
-    ) -> Iterator[tuple[int, Cell, str, int]]:
-        wanted = {"reading": reading, "map": map, "seed": seed, "arm": arm}
-        given = {name: value for name, value in wanted.items() if value is not None}
-        where = " AND ".join(f"{name} = :{name}" for name in given) or "1"
-        query = f"SELECT id, reading, map, seed, arm, summary, crc FROM cells WHERE {where}"
-        for row in self._db.execute(f"{query} ORDER BY reading, arm, map, seed", given):
-            yield row[0], Cell(*row[1:5]), row[5], row[6]
+    # ------------------------------------------------------------ every reader goes through these
 
-    def _packed(self, key: int, cell: Cell, summary: str) -> Packed:
-        trials = self._db.execute("SELECT stage, n, columns FROM trials WHERE cell = ? ORDER BY stage", (key,))
-        extra = self._db.execute("SELECT name, data FROM attachments WHERE cell = ? ORDER BY name", (key,))
-        return Packed(cell, summary, tuple(trials), tuple(extra))
+    def _selected(self, axes: Mapping[str, str | int | None]) -> list[_Row]:
+        """The rows of the spec's cells that have these values, in order; one damaged row is an error."""
+        with explained(self.path):
+            rows = []
+            for row in self._rows(axes):
+                if isinstance(row, int):
+                    raise self._damage(row)
+                if self.spec.covers(row.cell):
+                    rows.append(row)
+        return sorted(rows, key=lambda row: row.cell.place)
+
+    def _rows(self, axes: Mapping[str, str | int | None]) -> Iterator[_Row | int]:
+        """Yield the rows that have these values; of a damaged one its number."""
+        given = {axis: axis_value(axis, value) for axis, value in axes.items() if value is not None}
+        names = self._axes
+        if unknown := [axis for axis in given if axis not in names]:
+            raise TaskliftError(f"{self.path}: no axis {unknown[0]!r}; the axes are {', '.join(names)}")
+        where = " AND ".join(f'"{axis}" = :{axis}' for axis in given) or "1"
+        columns = ", ".join(f'"{axis}"' for axis in names)
+        query = f"SELECT id, summary, contents, crc, {columns} FROM cells WHERE {where}"
+        for key, summary, contents, crc, *values in self._db.execute(query, given):
+            if self._checksum(values, summary, contents) == crc:
+                yield _Row(key, Cell.of(names, values), summary, json.loads(contents))
+            else:
+                yield key
+
+    def _trials(self, row: _Row, stage: str | None = None) -> list[tuple[str, int, bytes]]:
+        """The packed stages of a cell, or the one that is named."""
+        query = "SELECT stage, n, columns FROM trials WHERE cell = ?1 AND (?2 IS NULL OR stage = ?2) ORDER BY stage"
+        parts = self._db.execute(query, (row.key, stage)).fetchall()
+        kept = row.contents["trials"]
+        if {part[0]: checksum(*part) for part in parts} != ({stage: kept[stage]} if stage else kept):
+            raise self._damage(row.key)
+        return parts
+
+    def _attachments(self, row: _Row) -> list[tuple[str, str | bytes]]:
+        query = "SELECT name, data FROM attachments WHERE cell = ? ORDER BY name"
+        parts = self._db.execute(query, (row.key,)).fetchall()
+        if {part[0]: checksum(*part) for part in parts} != row.contents["attachments"]:
+            raise self._damage(row.key)
+        return parts
+
+    def _intact(self, row: _Row | int) -> bool:
+        """Whether all that is kept of a cell is as it was written."""
+        try:
+            return not isinstance(row, int) and bool((self._trials(row), self._attachments(row)))
+        except TaskliftError:
+            return False
+
+    def _checksum(self, values: Sequence[str], summary: str, contents: str) -> int:
+        return checksum(self._id, *values, summary, contents)
+
+    def _damage(self, key: int) -> TaskliftError:
+        columns = ", ".join(f'"{axis}"' for axis in self._axes)
+        values = self._db.execute(f"SELECT {columns} FROM cells WHERE id = ?", (key,)).fetchone()
+        cell = ", ".join(f"{axis} {value}" for axis, value in zip(self._axes, values, strict=True))
+        return TaskliftError(
+            f"{self.path}: cell {one_line(cell, 80)} is damaged; restore a copy, or run the same command again, which "
+            "computes it afresh"
+        )
 
 
 @dataclass(frozen=True)
@@ -356,102 +411,17 @@ class Curves:
     values: NDArray[np.float64]
     cells: list[Cell]
 
-    @property
-    def maps(self) -> NDArray[np.str_]:
-        """Each row's map ``(n,)``: the strata of the statistics."""
-        return np.array([cell.map for cell in self.cells])
+    def column(self, axis: str) -> NDArray[np.str_]:
+        """Each row's value on an axis ``(n,)``: the strata of the statistics, for example."""
+        return np.array([cell[axis] for cell in self.cells])
 
-    def paired_with(self, other: Curves) -> bool:
-        """Whether both have the same (map, seed) row by row, so that differences are paired."""
-        return [(c.map, c.seed) for c in self.cells] == [(c.map, c.seed) for c in other.cells]
-
-
-_WHERE = "reading = ? AND map = ? AND seed = ? AND arm = ?"
-
-
-def _key(cell: Cell) -> tuple[str, str, int, str]:
-    return cell.reading, cell.map, cell.seed, cell.arm
-
-
-def _intact(packed: Packed, crc: int) -> bool:
-    try:
-        return packed.crc == crc
-    except (TypeError, AttributeError):  # a damaged field may come back as another type
-        return False
+    def paired_with(self, other: Curves, over: Iterable[str]) -> bool:
+        """Whether both have the same values on the axes ``over`` row by row, so that differences are paired."""
+        axes = list(over)
+        return [[cell[axis] for axis in axes] for cell in self.cells] == [
+            [cell[axis] for axis in axes] for cell in other.cells
+        ]
 
 
 def _attachment(data: str | bytes) -> Any:
     return unpack(data)[""] if isinstance(data, bytes) else json.loads(data)
-
-
-def _is_empty(connection: sqlite3.Connection, path: Path) -> bool:
-    """Whether nothing is in the file yet; refuse what is not ours, newer than this release, or damaged."""
-    connection.execute("BEGIN")  # one snapshot: another process may be creating the file at this moment
-    (application,) = connection.execute("PRAGMA application_id").fetchone()
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
-    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    connection.execute("COMMIT")
-    if not tables and not application:
-        return True
-    if application != _APPLICATION:
-        raise TaskliftError(f"{path}: a database of another program; nothing was touched, choose another place")
-    if version > _VERSION:
-        raise TaskliftError(
-            f"{path}: version {version} of the experiment file, this release reads up to {_VERSION}; "
-            "nothing was touched, install a newer tasklift"
-        )
-    # pages that point astray would lose or repeat whole cells unnoticed; this takes about 1 ms per MB
-    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    if found != "ok":
-        line = " ".join(str(found).split())
-        raise TaskliftError(f"{path}: damaged ({line}); restore a copy, or move it away and run again")
-    return False
-
-
-def _identity(connection: sqlite3.Connection, path: Path) -> tuple[Spec, Detail]:
-    meta = dict(connection.execute("SELECT key, value FROM meta"))
-    spec, detail = Spec(str(meta.get("name")), str(meta.get("spec"))), meta.get("detail")
-    if spec.id != meta.get("spec_id") or detail not in ("rows", "summary"):
-        raise TaskliftError(f"{path}: damaged (its spec is not what it was); restore a copy, or move it away")
-    return spec, "rows" if detail == "rows" else "summary"
-
-
-def _refuse_another(connection: sqlite3.Connection, path: Path, spec: Spec, detail: Detail) -> None:
-    there, kept = _identity(connection, path)
-    if there.id != spec.id:
-        changed = differences(there.settings, spec.settings)
-        more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
-        raise TaskliftError(
-            f"{path}: holds another experiment ({there.name!r}, {there.id[:12]}): it has "
-            f"{'; '.join(changed[:3])}{more}; nothing was touched, choose another --out or give its settings"
-        )
-    if kept != detail:
-        raise TaskliftError(f"{path}: keeps detail {kept!r}, not {detail!r}; nothing was touched")
-
-
-def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Switch the journal; SQLite does not wait for its busy timeout here, so try again for a while."""
-    connection.execute("PRAGMA synchronous = NORMAL")
-    for attempt in range(100):
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError as error:
-            if "locked" not in str(error) or attempt == 99:
-                raise
-            time.sleep(0.05)
-
-
-def _connect_to_read(path: Path) -> sqlite3.Connection:
-    """Open read-only; in a folder where SQLite may not put its log, as a file that does not change."""
-    address = path.resolve().as_uri()
-    connection = sqlite3.connect(f"{address}?mode=ro", uri=True, timeout=60, isolation_level=None)
-    try:
-        connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    except sqlite3.OperationalError:
-        connection.close()
-        log = path.with_name(path.name + "-wal")
-        if log.exists() and log.stat().st_size:
-            raise
-        connection = sqlite3.connect(f"{address}?mode=ro&immutable=1", uri=True, isolation_level=None)
-    return connection

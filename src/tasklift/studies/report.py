@@ -51,7 +51,7 @@ def save_policies(study: Study, folder: Path, reading: str, building: str) -> li
     for name in study.arms:
         if ARMS[name].learns:
             file = folder / f"{reading}, {name}.json".replace(" ", "-").replace(",", "")
-            study.learned(Cell(reading, building, 0, name)).save(file)
+            study.learned(Cell(reading=reading, map=building, seed=0, arm=name)).save(file)
             paths.append(file)
     return paths
 

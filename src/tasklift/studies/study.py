@@ -136,32 +136,34 @@ class Study:
                 "greedy_trials": GREEDY_TRIALS,
                 "unseen": {key: building.content_id for key, building in self.unseen.items()},
             },
+            {"reading": list(self.readings), "map": list(self.buildings), "seed": range(self.seeds), "arm": self.arms},
+            over=("map", "seed"),
         )
 
     def cells(self) -> list[Cell]:
         """Return the units of work."""
-        return grid(list(self.readings), list(self.buildings), range(self.seeds), list(self.arms))
+        return grid(reading=self.readings, map=self.buildings, seed=range(self.seeds), arm=self.arms)
 
     def work(self, cell: Cell) -> CellResult:
         """Train one arm on one map with one seed under one reading, then use what it learned greedily."""
         policy, stages = self._train(cell)
         columns = {stage: _columns(outcomes) for stage, outcomes in stages.items()}
-        columns["greedy"] = _columns(self._greedy(cell, cell.map, policy))
+        columns["greedy"] = _columns(self._greedy(cell, cell["map"], policy))
         if self.unseen:
-            place = list(self.unseen)[cell.seed % len(self.unseen)]
+            place = list(self.unseen)[int(cell["seed"]) % len(self.unseen)]
             columns["unseen"] = _columns(self._greedy(cell, place, policy))
         attachments: dict[str, Any] = {"move_weights": move_weights(policy)}
-        if cell.arm == "copy":
+        if cell["arm"] == "copy":
             attachments["ca_weights"] = ca_weights(self._source(cell).policy)
         return CellResult(stages=columns, summary=_summary(columns), attachments=attachments)
 
     def _greedy(self, cell: Cell, building: str, policy: Policy) -> SearchOutcomes:
         """Use a policy without learning, always its heaviest output."""
-        return self.mission(cell.reading, building).run(
+        return self.mission(cell["reading"], building).run(
             policy.task,
             policy.weights.copy(),
             trials=GREEDY_TRIALS,
-            seed=cell.seed,
+            seed=int(cell["seed"]),
             stage=GREEDY_STAGE,
             reinforcement=Reinforcement(selection="exploitation"),
             learn=False,
@@ -173,22 +175,22 @@ class Study:
 
     def start(self, cell: Cell) -> Policy:
         """Return the policy with which a cell enters T, before any trial there."""
-        arm = arm_named(cell.arm)
+        arm = arm_named(cell["arm"])
         source = self._source(cell).policy if arm.needs_source else None
         return start_policy(arm.start, self.task, source, self.reinforcement.initial_weight)
 
     def before(self, cell: Cell, trial: int) -> Policy:
         """Return the policy with which a cell enters one of its trials on T, counted from 1."""
         policy, _ = self._enter(cell)
-        arm = arm_named(cell.arm)
+        arm = arm_named(cell["arm"])
         if not arm.learns or trial == 1:
             return policy
-        rules, mission = arm.reinforcement(self.reinforcement), self.mission(cell.reading, cell.map)
-        return reinforce(mission, policy, trials=trial - 1, seed=cell.seed, reinforcement=rules).policy
+        rules, mission = arm.reinforcement(self.reinforcement), self.mission(cell["reading"], cell["map"])
+        return reinforce(mission, policy, trials=trial - 1, seed=int(cell["seed"]), reinforcement=rules).policy
 
     def _train(self, cell: Cell) -> tuple[Policy, dict[str, SearchOutcomes]]:
         """Return the policy at the end and the outcomes of each stage: source, budget, drill, target."""
-        mission, arm = self.mission(cell.reading, cell.map), arm_named(cell.arm)
+        mission, arm = self.mission(cell["reading"], cell["map"]), arm_named(cell["arm"])
         rules = arm.reinforcement(self.reinforcement)
         policy, stages = self._enter(cell)
         if not arm.learns:
@@ -196,19 +198,19 @@ class Study:
                 policy.task,
                 policy.weights.copy(),
                 trials=self.trials,
-                seed=cell.seed,
+                seed=int(cell["seed"]),
                 stage=TARGET_STAGE,
                 reinforcement=rules,
                 learn=False,
             )
             return policy, stages
-        curve = reinforce(mission, policy, trials=self.trials, seed=cell.seed, reinforcement=rules)
+        curve = reinforce(mission, policy, trials=self.trials, seed=int(cell["seed"]), reinforcement=rules)
         stages["target"] = curve.outcomes
         return curve.policy, stages
 
     def _enter(self, cell: Cell) -> tuple[Policy, dict[str, Any]]:
         """Return the policy with which a cell enters T, and the outcomes of the stages before."""
-        mission, arm = self.mission(cell.reading, cell.map), arm_named(cell.arm)
+        mission, arm = self.mission(cell["reading"], cell["map"]), arm_named(cell["arm"])
         rules = arm.reinforcement(self.reinforcement)
         policy = self.start(cell)
         stages: dict[str, Any] = {}
@@ -227,17 +229,17 @@ class Study:
         )
         for name, world, trials, stage, how in before:
             if trials:
-                spent = reinforce(world, policy, trials=trials, seed=cell.seed, stage=stage, reinforcement=how)
+                spent = reinforce(world, policy, trials=trials, seed=int(cell["seed"]), stage=stage, reinforcement=how)
                 policy, stages[name] = spent.policy, spent.outcomes
         return policy, stages
 
     def _source(self, cell: Cell) -> Curve:
         """V of a cell, learned once for all arms that share it."""
-        mission = self.mission(cell.reading, cell.map)
-        key = (cell.seed, self.repeats, self.reinforcement)
+        mission = self.mission(cell["reading"], cell["map"])
+        key = (int(cell["seed"]), self.repeats, self.reinforcement)
         if getattr(_latest, "mission", None) is not mission or _latest.key != key:
             _latest.curve = learn_source(
-                mission, repeats=self.repeats, seed=cell.seed, reinforcement=self.reinforcement
+                mission, repeats=self.repeats, seed=int(cell["seed"]), reinforcement=self.reinforcement
             )
             _latest.mission, _latest.key = mission, key
         curve: Curve = _latest.curve

@@ -103,7 +103,7 @@ def train(
         export(folder, folder / "rows.csv")
         report.save_policies(study, folder / "policies", preset, building.stem)
         best = recommended(samples)
-        study.learned(Cell(preset, building.stem, 0, best)).save(folder / "policy.json")
+        study.learned(Cell(reading=preset, map=building.stem, seed=0, arm=best)).save(folder / "policy.json")
         place.save(folder / "building.json")
         lines = verdict_lines(samples, best, folder)
         command = (

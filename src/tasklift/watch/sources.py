@@ -65,7 +65,7 @@ def study_traces(
         raise TaskliftError(f"watch: {len(arms)} arms at {len(trials)} trials each; expected at most {MOST} in all")
     traces = []
     for name in arms:
-        cell = Cell(reading, map, seed, name)
+        cell = Cell(reading=reading, map=map, seed=seed, arm=name)
         for trial in trials:
             trace = _trial(study, cell, trial)
             several = f"trial {trial}" if len(arms) == 1 else f"{name}, trial {trial}"
@@ -87,9 +87,10 @@ def arm_names(text: str) -> list[str]:
 def _trial(study: Study, cell: Cell, trial: int) -> Trace:
     if trial < 1:
         raise TaskliftError(f"watch: trials count from 1, found {trial}")
-    mission, arm = study.mission(cell.reading, cell.map), arm_named(cell.arm)
+    mission, arm = study.mission(cell["reading"], cell["map"]), arm_named(cell["arm"])
     rules, policy = arm.reinforcement(study.reinforcement), study.before(cell, trial)
-    return mission.simulator.trace(policy, seed=cell.seed, trial=trial - 1, reinforcement=rules, learn=arm.learns)
+    seed = int(cell["seed"])
+    return mission.simulator.trace(policy, seed=seed, trial=trial - 1, reinforcement=rules, learn=arm.learns)
 
 
 def run_traces(
@@ -137,7 +138,8 @@ def run_traces(
             if trial > study.trials:
                 raise TaskliftError(f"{path}: has {study.trials} trials, not trial {trial}")
         traces = study_traces(study, reading=reading, map=map, seed=seed, arms=arms, trials=trials)
-        _hold_against(store, [Cell(reading, map, seed, arm) for arm in arms for _ in trials], traces)
+        cells = [Cell(reading=reading, map=map, seed=seed, arm=arm) for arm in arms for _ in trials]
+        _hold_against(store, cells, traces)
     return traces
 
 
@@ -202,5 +204,5 @@ def _hold_against(store: Store, cells: Sequence[Cell], traces: Sequence[tuple[st
         if seen != kept:
             raise TaskliftError(
                 f"{store.path}: {cell}, {label}: recorded with {kept[0]} steps and {kept[1]} losses, played here "
-                f"with {seen[0]} and {seen[1]}; it was recorded by tasklift {store.origins()[cell]}: use that"
+                f"with {seen[0]} and {seen[1]}; it was recorded by tasklift {store.release}: use that"
             )

@@ -73,7 +73,7 @@ class Sample:
         curves = {name: store.curves("target", name, reading=reading, arm=arm) for name in names}
         drill = None if WAYS[arm].drilling is None else store.curves("drill", "losses", reading=reading, arm=arm)
         values = {name: curve.values for name, curve in curves.items()}
-        return cls(curves["losses"].maps, **values, would_be=None if drill is None else drill.values)
+        return cls(curves["losses"].column("map"), **values, would_be=None if drill is None else drill.values)
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def _strata(maps: NDArray[np.str_]) -> NDArray[np.str_] | None:
 
 def contrasts(store: Store, arms: Sequence[str], *, reference: int, resamples: int = 4000) -> list[Contrast]:
     """Hold every arm of the store that is named against direct learning of ``reference`` trials, by hostiles."""
-    there = {(cell.reading, cell.arm) for cell in store.done()}
+    there = {(cell["reading"], cell["arm"]) for cell in store.done()}
     numbers = sorted({int(reading.split()[0]) for reading, _ in there})
     found = []
     for arm in arms:
@@ -290,7 +290,7 @@ def chosen(store: Store) -> tuple[str, list[list[Any]]]:
     hostiles), the one that solves T most often; the first in the list where they are equal.
     """
     names = [name.removeprefix("variant: ") for name in WAYS if name.startswith("variant: ")]
-    numbers = sorted({int(cell.reading.split()[0]) for cell in store.done()})
+    numbers = sorted({int(cell["reading"].split()[0]) for cell in store.done()})
     samples = {n: [Sample.of(store, h, f"variant: {n}") for h in numbers] for n in names}
     lost = {n: [float(s.losses.mean()) for s in of] for n, of in samples.items()}
     solved = {n: float(np.mean([s.success.mean() for s in of])) for n, of in samples.items()}

@@ -267,7 +267,7 @@ class Drills:
         """Return the units of work, those that share map and seed side by side, the first seeds first."""
         numbers = sorted({h for part in self.parts for h in part.hostiles})
         return [
-            Cell(reading_name(h), building, seed, arm)
+            Cell(reading=reading_name(h), map=building, seed=seed, arm=arm)
             for seed in range(max(part.seeds for part in self.parts))
             for building in self.buildings
             for h in numbers
@@ -291,14 +291,21 @@ class Drills:
                 "counted": COUNTED,
                 "repeats": REPEATS,
             },
+            {
+                "reading": [reading_name(h) for h in sorted({h for part in self.parts for h in part.hostiles})],
+                "map": list(self.buildings),
+                "seed": range(max(part.seeds for part in self.parts)),
+                "arm": [name for name in WAYS if name in used],
+            },
+            over=("map", "seed"),
         )
 
     def work(self, cell: Cell) -> CellResult:
         """Train one arm with one number of hostiles on one map with one seed."""
-        way, hostiles = WAYS[cell.arm], int(cell.reading.split()[0])
+        way, hostiles = WAYS[cell["arm"]], int(cell["reading"].split()[0])
         policy, stages = self._enter(cell, way, hostiles)
         target = reinforce(
-            self.mission(hostiles, cell.map), policy, trials=way.trials, seed=cell.seed, stage=TARGET_STAGE,
+            self.mission(hostiles, cell["map"]), policy, trials=way.trials, seed=int(cell["seed"]), stage=TARGET_STAGE,
             reinforcement=way.rules(),
         ).outcomes  # fmt: skip
         columns = {stage: _columns(outcomes) for stage, outcomes in (stages | {"target": target}).items()}
@@ -315,15 +322,16 @@ class Drills:
 
     def _enter(self, cell: Cell, way: Way, hostiles: int) -> tuple[Policy, dict[str, Outcomes]]:
         """Return the policy with which an arm enters T, and the outcomes of the stages before."""
-        group = (self, cell.map, cell.seed)
+        group = (self, cell["map"], int(cell["seed"]))
         if getattr(_latest, "group", None) != group:
             _latest.group, _latest.known = group, {}
         known: dict[Any, Any] = _latest.known
-        mission, stages = self.mission(hostiles, cell.map), {}
+        mission, stages = self.mission(hostiles, cell["map"]), {}
         source: Curve | None = None
         if way.start != "equal":
             if "V" not in known:
-                known["V"] = learn_source(mission, repeats=REPEATS, seed=cell.seed, reinforcement=Reinforcement())
+                seed = int(cell["seed"])
+                known["V"] = learn_source(mission, repeats=REPEATS, seed=seed, reinforcement=Reinforcement())
             source = known["V"]
         if source is not None and way.start != "prior":  # the prior is told, V's traversals are not spent on it
             stages["source"] = source.outcomes
@@ -335,8 +343,8 @@ class Drills:
         # V knows no hostiles, and with one at every door it does not matter how many there are on T
         key = (way.start, way.drilling, 0 if way.drilling.hostiles == "every door" else hostiles)
         if key not in known:
-            world = self.mission(hostiles, cell.map, way.drilling)
-            known[key] = drilled(world, policy, way.drilling, seed=cell.seed)
+            world = self.mission(hostiles, cell["map"], way.drilling)
+            known[key] = drilled(world, policy, way.drilling, seed=int(cell["seed"]))
         policy, stages["drill"] = known[key]
         return policy, stages
 

@@ -193,7 +193,7 @@ class Multiverse:
         return [
             cell
             for name in self.names
-            for cell in grid([name], list(self.buildings), range(self.seeds), self.study(name).arms)
+            for cell in grid(reading=[name], map=self.buildings, seed=range(self.seeds), arm=self.study(name).arms)
         ]
 
     def spec(self) -> Spec:
@@ -217,13 +217,20 @@ class Multiverse:
                 "limit": self.limit,
                 "greedy_trials": GREEDY_TRIALS,
             },
+            {
+                "reading": self.names,
+                "map": list(self.buildings),
+                "seed": range(self.seeds),
+                "arm": [*ARMS, *EXPLOITING],
+            },
+            over=("map", "seed"),
         )
 
     def work(self, cell: Cell) -> CellResult:
         """Train one arm as the main study does, and keep of it what the claims need."""
-        full = self.study(cell.reading).work(cell)
+        full = self.study(cell["reading"]).work(cell)
         summary = dict(full.summary)
-        if cell.arm == "copy":
+        if cell["arm"] == "copy":
             summary |= _coverage(full.attachments["ca_weights"], full.stages["source"]["steps"])
         return CellResult(
             stages={"target": {name: full.stages["target"][name] for name in KEPT}},
@@ -324,7 +331,7 @@ def _samples(
     robots = sum(n for *_, n in settings["team"])
     found: dict[str, list[tuple[str, CellResult]]] = {}
     for cell, result in store.select(reading=reading, attachments=True):
-        found.setdefault(cell.arm, []).append((cell.map, result))
+        found.setdefault(cell["arm"], []).append((cell["map"], result))
     samples = {}
     for arm, rows in found.items():
         column = {name: np.array([r.stages["target"][name] for _, r in rows], np.float64) for name in KEPT}

@@ -112,7 +112,7 @@ class Sample:
         curves = {name: store.curves("target", name, reading=reading, arm=arm) for name in names}
         results = [result for _, result in store.select(reading=reading, arm=arm, attachments=True)]
         return cls(
-            maps=curves["steps"].maps,
+            maps=curves["steps"].column("map"),
             limit=settings["limit"],
             n_robots=sum(n for *_, n in settings["team"]),
             **{name: np.array([r.summary[name] for r in results]) for name in _TRIED if name in results[0].summary},

@@ -324,14 +324,14 @@ def figure4(
             values = curves.values
             if not arm_named(arm).learns:
                 values = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
-            band = mean_band(values, strata=curves.maps)
+            band = mean_band(values, strata=curves.column("map"))
             above.fill_between(trials, band.low, band.high, color=style["color"], alpha=0.13, linewidth=0)
             above.plot(trials, band.estimate, **{**style, "linewidth": 1.1}, label=arm)
             if arm not in shown:
                 continue
             if run is None:
-                run = curves.cells[0].map, curves.cells[0].seed
-            rows = [i for i, cell in enumerate(curves.cells) if (cell.map, cell.seed) == run]
+                run = curves.cells[0]["map"], int(curves.cells[0]["seed"])
+            rows = [i for i, cell in enumerate(curves.cells) if (cell["map"], int(cell["seed"])) == run]
             if not rows:
                 raise TaskliftError(f"figure4: no run of map {run[0]!r} and seed {run[1]} in {store.path}")
             below.plot(trials, curves.values[rows[0]], **{**style, "linewidth": 0.9})

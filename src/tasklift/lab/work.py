@@ -1,0 +1,30 @@
+"""The work of a cell, wherever it is done: on a thread here, or in a worker of a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+from tasklift.errors import TaskliftError
+from tasklift.lab.cell import Cell, CellResult
+from tasklift.lab.packing import Detail, Packed
+
+Work = Callable[[Cell], CellResult]
+Group = list[Cell]
+Stopped = Callable[[], bool]
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def compute(work: Work, cell: Cell, detail: Detail) -> Packed:
+    """Do one cell's work and pack it; errors name the cell."""
+    try:
+        return Packed.of(cell, work(cell), detail)
+    except TaskliftError as error:
+        raise TaskliftError(f"cell {cell}: {error}") from error
+    except Exception as error:
+        error.add_note(f"while computing the cell {cell}")
+        raise

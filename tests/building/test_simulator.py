@@ -44,7 +44,7 @@ def oracle_for(mission, task, weights, reinforcement, sweep, learn):
         weights.tolist(),
         [root.output_values(int(a)) for a in task.output_map],
         lambda seen: int(task.input_map[root.input_index(dict(zip(("DL", "GL", "nWPN", "FTR"), seen, strict=True)))]),
-        (task.rule_table() if every_credit else task.signal_table()).tolist(),
+        (task.signal_table(impossible=not every_credit)).tolist(),
         reinforcement,
         learn=learn,
         sweep=sweep,

@@ -118,7 +118,7 @@ def test_what_a_learner_carries_is_saved_and_extended(tmp_path: Path) -> None:
 @given(st.lists(st.floats(-50, 50), min_size=1, max_size=6), st.floats(0, 1), st.sampled_from([0.0, 0.1, 3.0]))
 def test_chances_are_a_distribution(values: list[float], epsilon: float, temperature: float) -> None:
     row, out = np.array(values), np.empty(len(values))
-    rules.chances(row, epsilon, temperature, out)
+    rules.probabilities(row, epsilon, temperature, out)
     assert out.sum() == pytest.approx(1)
     assert (out >= epsilon / len(row) - 1e-12).all()
     order = np.argsort(row)

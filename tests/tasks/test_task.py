@@ -98,7 +98,7 @@ def test_the_index_is_in_c_order() -> None:
 
 def test_table_three_as_an_array() -> None:
     task = paper_task()
-    table = task.rule_table()
+    table = task.signal_table(impossible=False)
     for s, a in itertools.product(range(90), range(44)):
         state, action = task.input_values(s), task.output_values(a)
         expected = 0.0
@@ -118,7 +118,7 @@ def test_labels_stand_for_values() -> None:
 
 
 def test_the_simple_tasks_own_and_inherited_signals() -> None:
-    assert np.unique(paper_simple().rule_table()).tolist() == [-0.2, 0.0]
+    assert np.unique(paper_simple().signal_table(impossible=False)).tolist() == [-0.2, 0.0]
     inherited = paper_task().simplify(fix={"nWPN": 0, "DL": 0}, restrict={"FTR": [1, 4]})
     assert [s.value for s in inherited.signals] == [0.1, -0.1]
     rows, columns = inherited.input_map, inherited.output_map

@@ -83,6 +83,11 @@ def generate(
     ------
     TaskliftError
         If no building has these counts.
+
+    Examples
+    --------
+    >>> generate(intersections=9, corridors=11, rooms=3, features=6, seed=5)
+    Building('generated 9-11-3-6 seed 5': 3 rooms, 9 intersections, 6 features, 20 edges)
     """
     doors = _check(intersections, corridors, rooms, features, doors, seed)
     rng = np.random.Generator(np.random.PCG64(seed))

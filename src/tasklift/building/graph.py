@@ -80,6 +80,18 @@ class Building:
     ------
     TaskliftError
         With the faulty node or edge.
+
+    Examples
+    --------
+    >>> hall = Building(
+    ...     "hall", kind=[ROOM, FEATURE, ROOM], feature_class=[NONE, DOOR, NONE],
+    ...     position_m=[(0, 0), (4, 0), (8, 0)], area_m2=[12, 0, 20], obstacles=[1, 0, 0],
+    ...     edges=[(0, 1), (1, 2)], length_m=[4, 4], width_m=[1.2, 1.2], start=0,
+    ... )
+    >>> hall
+    Building('hall': 2 rooms, 0 intersections, 1 features, 2 edges)
+    >>> hall.neighbour[hall.indptr[1] : hall.indptr[2]].tolist()
+    [0, 2]
     """
 
     name: str

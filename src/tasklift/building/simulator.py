@@ -450,7 +450,7 @@ def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool
     return layout.Learner(
         rows=np.ascontiguousarray(task.input_map, np.int64),
         outputs=outputs,
-        signal=np.ascontiguousarray(task.rule_table() if sweep_all else task.signal_table(), np.float64),
+        signal=np.ascontiguousarray(task.signal_table(impossible=not sweep_all), np.float64),
         learn=int(learn),
         sweep_all=int(sweep_all),
         greedy=float(greedy[reinforcement.selection]),

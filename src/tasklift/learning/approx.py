@@ -301,7 +301,7 @@ class _Collector:
         here = self._number(self.world.start(rng))
         steps, losses, total = 0, 0, 0.0
         while True:
-            rules.chances(self._row(here, approximation), epsilon, 0.0, chances)
+            rules.probabilities(self._row(here, approximation), epsilon, 0.0, chances)
             output = rules.draw(chances, rng.random())
             answer = self.world.step(self.view.columns[output])
             steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
@@ -416,7 +416,7 @@ class _Extended:
 
     def __init__(self, simple: Approximation, whole: Task, prior: tuple[Prior, ...]) -> None:
         self.simple, self.whole, self.prior = simple, whole, prior
-        self.fates = simple.task.fates(whole)
+        self.fates = simple.task.kept_positions(whole)
 
     def rows(self, positions: Positions) -> Floats:
         task, whole = self.simple.task, self.whole

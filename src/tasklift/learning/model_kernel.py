@@ -13,7 +13,7 @@ from numba import njit
 from tasklift.tasks import choice as rules
 
 _draw = njit(rules.draw)
-_chances = njit(rules.chances)
+_chances = njit(rules.probabilities)
 _step_size = njit(rules.step_size)
 
 

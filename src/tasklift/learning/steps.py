@@ -150,7 +150,7 @@ class StepTrials:
         view = View(self.world, task)
         # in a sweep the output is not the learner's choice, so it is not punished for being impossible
         chosen = outputs is None or reinforcement.sweep_credit == "visited"
-        signals = task.signal_table() if chosen else task.rule_table()
+        signals = task.signal_table(impossible=bool(chosen))
         records: list[tuple[int, bool, int, float]] = []
         chances = Chances(seed, stage)
         lost = counted = 0

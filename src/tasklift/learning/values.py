@@ -224,7 +224,7 @@ def _trial(
     sarsa = learn and learning.rule == "sarsa"
 
     def choose(row: int) -> int:
-        rules.chances(values[row], epsilon, learning.temperature, chances)
+        rules.probabilities(values[row], epsilon, learning.temperature, chances)
         return rules.draw(chances, rng.random())
 
     row = view.row(world.start(rng))
@@ -242,7 +242,7 @@ def _trial(
             elif learning.rule == "q-learning":
                 target += learning.discount * values[after].max()
             else:
-                rules.chances(values[after], epsilon, learning.temperature, chances)
+                rules.probabilities(values[after], epsilon, learning.temperature, chances)
                 target += learning.discount * sum(c * v for c, v in zip(chances, values[after], strict=True))
         if learn:
             visits[row, column] += 1

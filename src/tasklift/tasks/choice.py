@@ -1,8 +1,8 @@
-"""The scalar rules of selection and reinforcement, each written once.
+"""Choosing by weight or value, and reinforcing: the scalar functions, each written once.
 
 Plain Python over a row of weights (a 1-D float64 array), with nothing but loops,
 arithmetic and ``len``: :mod:`tasklift.tasks.policy` calls these functions as they are, and the simulator's kernel
-compiles the same source (``numba.njit(rules.draw)``). No checks are made here: rows have at least one entry,
+compiles the same source (``numba.njit(choice.draw)``). No checks are made here: rows have at least one entry,
 weights are finite and not negative, and ``u`` and ``coin`` lie in [0, 1).
 """
 
@@ -25,13 +25,13 @@ def draw(weights, u):  # type: ignore[no-untyped-def]
     also where rounding puts ``u`` times the sum at or past the end of the running sum.
     """
     n = len(weights)
-    whole = 0.0
+    added = 0.0
     for i in range(n):
-        whole += weights[i]
-    if whole <= 0.0:
+        added += weights[i]
+    if added <= 0.0:
         even = int(u * n)
         return even if even < n else n - 1
-    target = u * whole
+    target = u * added
     running = 0.0
     for i in range(n):
         running += weights[i]
@@ -80,8 +80,8 @@ def reinforce(weight, signal, floor):  # type: ignore[no-untyped-def]
     return changed if changed > floor else floor
 
 
-def chances(values, epsilon, temperature, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` with the chance of each index under ε-greedy (temperature 0) or softmax choice, by value.
+def probabilities(values, epsilon, temperature, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` with the probability of each index under ε-greedy (temperature 0) or softmax choice, by value.
 
     A share ``epsilon`` is even over all; the rest goes to the largest values, evenly among equal ones, or,
     with a temperature above 0, in proportion to exp(value / temperature).
@@ -91,15 +91,15 @@ def chances(values, epsilon, temperature, out):  # type: ignore[no-untyped-def]
     for i in range(n):
         if values[i] > most:
             most = values[i]
-    whole = 0.0
+    added = 0.0
     for i in range(n):
         if temperature > 0.0:
             out[i] = exp((values[i] - most) / temperature)
         else:
             out[i] = 1.0 if values[i] == most else 0.0
-        whole += out[i]
+        added += out[i]
     for i in range(n):
-        out[i] = (1.0 - epsilon) * out[i] / whole + epsilon / n
+        out[i] = (1.0 - epsilon) * out[i] / added + epsilon / n
 
 
 def step_size(visits, least, power):  # type: ignore[no-untyped-def]

@@ -38,18 +38,18 @@ from tasklift.files import (
     read_text,
     write_atomically,
 )
-from tasklift.tasks import choice as rules
+from tasklift.tasks import choice
 from tasklift.tasks.prior import Prior, invert, scale, set_weight, swap
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable, plain_number
 from tasklift.text import shown
 
-__all__ = ["Policy", "Prior", "Rule", "Weights", "invert", "scale", "set_weight", "swap"]
+__all__ = ["Policy", "Prior", "Selection", "Weights", "invert", "scale", "set_weight", "swap"]
 
 Weights = NDArray[np.float64]
-Rule = Literal["exploration", "pseudo-random", "exploitation"]
+Selection = Literal["exploration", "pseudo-random", "exploitation"]
 
-RULES: tuple[Rule, ...] = ("exploration", "pseudo-random", "exploitation")
+SELECTIONS: tuple[Selection, ...] = ("exploration", "pseudo-random", "exploitation")
 
 LARGEST_JSON = 100_000
 """Policies with more weights than this keep them in an NPZ file beside the JSON file."""
@@ -64,16 +64,16 @@ class Policy:
 
     Parameters
     ----------
-    task
+    task : Task
         The declaration, which gives the table its meaning.
-    weights
-        float64 (S, A), copied and made read-only.
-    provenance
+    weights : float64 (S, A)
+        Copied and made read-only.
+    provenance : mapping
         Where the policy comes from, as JSON data: seeds, settings, the policies before it.
-    kind
+    kind : {"weight", "value"}
         ``"weight"``: not negative, drawn in proportion (the paper's). ``"value"``: estimates of return, any
         finite numbers, as Q-learning keeps them; they cannot be drawn in proportion.
-    carried
+    carried : mapping
         What the learner carries beside the weights: arrays (S, A), such as visit counts, and single numbers,
         such as the exploration rate. It is saved, and extended like the weights, so that learning can go on.
 
@@ -81,6 +81,16 @@ class Policy:
     ------
     TaskliftError
         For a wrong shape, NaN, infinite or negative weights; says where the first one is.
+
+    Examples
+    --------
+    >>> from tasklift.tasks.task import Task
+    >>> walk = Task("walk", inputs=(Variable("door", (0, 1)),), outputs=(Variable("move", (0, 1)),))
+    >>> policy = Policy(walk, [[1.0, 3.0], [1.0, 1.0]])
+    >>> policy.probabilities({"door": 0}).tolist()
+    [0.25, 0.75]
+    >>> policy.select({"door": 0}, "exploitation", u=0.5)
+    1
     """
 
     task: Task
@@ -134,17 +144,32 @@ class Policy:
             raise TaskliftError(f"policy: expected an input from 0 to {self.task.shape[0] - 1}, found {input}")
         return self.weights[int(input)]
 
-    def probabilities(self, input: int | Mapping[str, Any], rule: Rule = "exploration", q: float = 0.9) -> Weights:
-        """Return how probable each output (A,) is at an input, under a selection rule; ties share evenly."""
-        greedy = _greedy(rule, q)
+    def probabilities(
+        self, input: int | Mapping[str, Any], selection: Selection = "exploration", q: float = 0.9
+    ) -> Weights:
+        """Return how probable each output (A,) is at an input; the heaviest outputs share evenly.
+
+        Parameters
+        ----------
+        input : int or mapping
+            Its row, or ``{name: value}``.
+        selection, q
+            As in :meth:`select`.
+
+        Raises
+        ------
+        TaskliftError
+            For an unknown input or selection, and for values that would have to be drawn in proportion.
+        """
+        greedy = _greedy(selection, q)
         row = self.row(input)
         ties = row == row.max()
-        chances = greedy * ties / ties.sum()
+        shares = greedy * ties / ties.sum()
         if greedy < 1.0:
-            self._need_weights(rule)
-            whole = rules.total(row, len(row))
-            chances = chances + (1.0 - greedy) * (row / whole if whole > 0 else np.full(len(row), 1 / len(row)))
-        return chances
+            self._need_weights(selection)
+            total = choice.total(row, len(row))
+            shares = shares + (1.0 - greedy) * (row / total if total > 0 else np.full(len(row), 1 / len(row)))
+        return shares
 
     def best(self) -> NDArray[np.int64]:
         """Return the heaviest output of each input, int64 (S,); the first one where several are equal."""
@@ -155,19 +180,19 @@ class Policy:
 
         Probabilities are those of exploration; a policy of values has none, there it is the heaviest output's.
         """
-        rule: Rule = "exploration" if self.kind == "weight" else "exploitation"
+        selection: Selection = "exploration" if self.kind == "weight" else "exploitation"
         outputs = [self.task.output_values(out) for out in range(self.task.shape[1])]
         for row in range(self.task.shape[0]):
-            seen, chances = self.task.input_values(row), self.probabilities(row, rule)
+            seen, shares = self.task.input_values(row), self.probabilities(row, selection)
             for out, does in enumerate(outputs):
-                yield seen, does, float(self.weights[row, out]), float(chances[out])
+                yield seen, does, float(self.weights[row, out]), float(shares[out])
 
     def describe(self, top: int = 3) -> Iterator[str]:
         """Yield a line per input, for people: its ``top`` most likely outputs."""
         for _, pairs in groupby(self.rows(), key=lambda pair: pair[0]):
             likely = sorted(pairs, key=lambda pair: -pair[3])[:top]
-            does = "; ".join(f"{chance:.0%} {_told(output)}" for _, output, _, chance in likely)
-            yield f"{_told(likely[0][0])}: {does}"
+            does = "; ".join(f"{share:.0%} {_spelled_out(output)}" for _, output, _, share in likely)
+            yield f"{_spelled_out(likely[0][0])}: {does}"
 
     def to_csv(self) -> str:
         """Return the policy as a table: a line per input and output, with weight and probability."""
@@ -182,39 +207,39 @@ class Policy:
     def select(
         self,
         input: int | Mapping[str, Any],
-        rule: Rule = "exploration",
+        selection: Selection = "exploration",
         *,
         q: float = 0.9,
         rng: np.random.Generator | None = None,
         u: float | None = None,
         coin: float = 0.0,
     ) -> int:
-        """Choose an output at an input, by one of the paper's three rules (section V).
+        """Choose an output at an input, in one of the paper's three ways (section V).
 
         Parameters
         ----------
-        input
-            Its index, or ``{name: value}``.
-        rule
+        input : int or mapping
+            Its row, or ``{name: value}``.
+        selection
             ``"exploration"``: drawn in proportion to weight. ``"exploitation"``: the heaviest.
             ``"pseudo-random"``: the heaviest with probability ``q``, else in proportion.
         rng
-            Supplies the chances; ties between heaviest outputs are broken with it, too.
+            Supplies the random numbers; ties between heaviest outputs are broken with it, too.
         u, coin
-            The chances themselves, in [0, 1), in place of ``rng``.
+            The random numbers themselves, in [0, 1), in place of ``rng``.
         """
-        greedy = _greedy(rule, q)
+        greedy = _greedy(selection, q)
         if greedy < 1.0:
-            self._need_weights(rule)
+            self._need_weights(selection)
         if (rng is None) == (u is None):
             raise TaskliftError("policy, select: give either rng= or u=, so that the choice can be repeated")
         if rng is not None:
             coin, u = rng.random(), rng.random()
-        return int(rules.select(self.row(input), greedy, coin, u))
+        return int(choice.select(self.row(input), greedy, coin, u))
 
-    def _need_weights(self, rule: str) -> None:
+    def _need_weights(self, selection: str) -> None:
         if self.kind == "value":
-            raise TaskliftError(f"policy: values cannot be drawn in proportion ({rule}); use 'exploitation'")
+            raise TaskliftError(f"policy: values cannot be drawn in proportion ({selection}); use 'exploitation'")
 
     # -- extending -----------------------------------------------------------------------------------------
 
@@ -235,8 +260,16 @@ class Policy:
         Raises
         ------
         TaskliftError
-            If this policy's task is no simplification of ``task`` (names the variable), or a prior names
+            If this policy's task is not a simplification of ``task`` (names the variable), or a prior names
             something unknown.
+
+        Examples
+        --------
+        >>> from tasklift.tasks.task import Task
+        >>> full = Task("full", inputs=(Variable("danger", (0, 1)),), outputs=(Variable("move", (0, 1)),))
+        >>> safe = Policy(full.simplify(fix={"danger": 0}), [[1.0, 3.0]])
+        >>> safe.extend(full, prior=[swap("move", when={"danger": 1})]).weights.tolist()
+        [[1.0, 3.0], [3.0, 1.0]]
         """
         ancestor = self.task.ancestor(task)
         task.need_room(task.shape[0] * task.shape[1], "the extended policy")
@@ -334,13 +367,13 @@ class Policy:
             raise TaskliftError(str(error) if where in str(error) else f"{where}: {error}") from error
 
 
-def _greedy(rule: str, q: float) -> float:
-    """Return the probability of taking the heaviest output under a selection rule."""
-    if rule not in RULES:
-        raise TaskliftError(f"selection: expected one of {', '.join(RULES)}, found {rule!r}")
+def _greedy(selection: str, q: float) -> float:
+    """Return the probability of taking the heaviest output of a way of selection."""
+    if selection not in SELECTIONS:
+        raise TaskliftError(f"selection: expected one of {', '.join(SELECTIONS)}, found {selection!r}")
     if not 0.0 <= q <= 1.0:
         raise TaskliftError(f"selection: q is a probability, from 0 to 1, found {q!r}")
-    return {"exploration": 0.0, "exploitation": 1.0}.get(rule, float(q))
+    return {"exploration": 0.0, "exploitation": 1.0}.get(selection, float(q))
 
 
 def _checked(task: Task, given: ArrayLike, what: str) -> Weights:
@@ -365,15 +398,15 @@ def _checked(task: Task, given: ArrayLike, what: str) -> Weights:
 
 def _put_back(table: Weights, task: Task, ancestor: Task) -> Weights:
     """Extend a table of ``task`` to an ancestor: copies, or means over the values that a restriction kept."""
-    whole = spread(table, task.inputs, ancestor.inputs, task.fates(ancestor), axis=0)
-    return spread(whole, task.outputs, ancestor.outputs, task.fates(ancestor), axis=1)
+    taller = spread(table, task.inputs, ancestor.inputs, task.kept_positions(ancestor), axis=0)
+    return spread(taller, task.outputs, ancestor.outputs, task.kept_positions(ancestor), axis=1)
 
 
 def spread(
     table: Weights,
     ours: Sequence[Variable],
     theirs: Sequence[Variable],
-    fates: Mapping[str, tuple[int, ...] | None],
+    kept: Mapping[str, tuple[int, ...] | None],
     axis: int,
 ) -> Weights:
     """Extend one axis of a table (n, A) or (S, n) from the variables it has to those of an ancestor."""
@@ -381,7 +414,7 @@ def spread(
     cube = table.reshape([*before, *(len(v) for v in ours), *after])
     names = {v.name for v in ours}
     for k, variable in enumerate(theirs, start=axis):
-        inside = fates[variable.name]
+        inside = kept[variable.name]
         if variable.name not in names:
             cube = np.repeat(np.expand_dims(cube, k), len(variable), axis=k)
         elif inside is not None and len(inside) < len(variable):
@@ -487,5 +520,5 @@ def _read_arrays(path: Path, beside: Mapping[str, Any], task: Task) -> dict[str,
     return found
 
 
-def _told(values: Mapping[str, Any]) -> str:
+def _spelled_out(values: Mapping[str, Any]) -> str:
     return " ".join(f"{name}={value}" for name, value in values.items())

@@ -22,7 +22,7 @@ Inputs = NDArray[np.int64] | None
 
 
 class Prior(Protocol):
-    """Prior knowledge: an operation on chosen weights, told in words."""
+    """Prior knowledge: an operation on chosen weights."""
 
     def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
         """Return changed weights of ``task``; the given ones stay as they are.
@@ -67,7 +67,7 @@ class _Swap:
         return changed
 
     def to_json(self) -> dict[str, Any]:
-        return _told("swap", self.when, output=self.output, values=self.values)
+        return _json("swap", self.when, output=self.output, values=self.values)
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class _Invert:
         return changed
 
     def to_json(self) -> dict[str, Any]:
-        return _told("invert", self.when)
+        return _json("invert", self.when)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class _Scale:
         return np.where(task.where(self.when, inputs), weights * self.factor, weights)
 
     def to_json(self) -> dict[str, Any]:
-        return _told("scale", self.when, factor=self.factor)
+        return _json("scale", self.when, factor=self.factor)
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,10 @@ class _SetWeight:
         return np.where(task.where(self.when, inputs), self.value, weights)
 
     def to_json(self) -> dict[str, Any]:
-        return _told("set_weight", self.when, value=self.value)
+        return _json("set_weight", self.when, value=self.value)
 
 
-def _told(operation: str, when: Condition, **rest: Any) -> dict[str, Any]:
+def _json(operation: str, when: Condition, **rest: Any) -> dict[str, Any]:
     conditions = {n: v if isinstance(v, str) else np.asarray(v).tolist() for n, v in when.items()}
     return {"operation": operation, "when": conditions} | {
         name: list(v) if isinstance(v, tuple) else v for name, v in rest.items() if v is not None
@@ -130,6 +130,20 @@ def swap(output: str, values: tuple[Any, Any] | None = None, when: Condition | N
         The two values to exchange; all other outputs keep their combination.
     when
         ``{variable: value or values}``: only there. Conditions on inputs choose rows, on outputs columns.
+
+    Raises
+    ------
+    TaskliftError
+        When it is applied: for an unknown output, an input, or a pair that is not two of its values.
+
+    Examples
+    --------
+    >>> from tasklift.tasks.policy import Policy
+    >>> from tasklift.tasks.task import Task, Variable
+    >>> door = Task("door", inputs=(Variable("danger", (0, 1)),), outputs=(Variable("move", (0, 1)),))
+    >>> policy = Policy(door, [[1.0, 3.0], [1.0, 3.0]])
+    >>> policy.extend(door, prior=[swap("move", when={"danger": 1})]).weights.tolist()
+    [[1.0, 3.0], [3.0, 1.0]]
     """
     return _Swap(output, None if values is None else tuple(values), dict(when or {}))
 
@@ -139,17 +153,75 @@ def invert(when: Condition | None = None) -> Prior:
 
     The paper inverts signs. Weights here are not negative, so each chosen weight is reflected between the
     smallest and the largest chosen weight of its row: the heaviest becomes the lightest, and the range stays.
+
+    Parameters
+    ----------
+    when : mapping, optional
+        ``{variable: value or values}``: only there.
+
+    Examples
+    --------
+    >>> from tasklift.tasks.policy import Policy
+    >>> from tasklift.tasks.task import Task, Variable
+    >>> door = Task("door", inputs=(Variable("danger", (0, 1)),), outputs=(Variable("move", (0, 1)),))
+    >>> policy = Policy(door, [[1.0, 3.0], [1.0, 3.0]])
+    >>> policy.extend(door, prior=[invert({"danger": 1})]).weights.tolist()
+    [[1.0, 3.0], [3.0, 1.0]]
     """
     return _Invert(dict(when or {}))
 
 
 def scale(factor: float, when: Condition | None = None) -> Prior:
-    """Prior: multiply the chosen weights by a factor, finite and not negative."""
+    """Prior: multiply the chosen weights by a factor.
+
+    Parameters
+    ----------
+    factor : float
+        Finite, at least 0.
+    when : mapping, optional
+        ``{variable: value or values}``: only there.
+
+    Raises
+    ------
+    TaskliftError
+        If the factor is not a finite number of at least 0.
+
+    Examples
+    --------
+    >>> from tasklift.tasks.policy import Policy
+    >>> from tasklift.tasks.task import Task, Variable
+    >>> door = Task("door", inputs=(Variable("danger", (0, 1)),), outputs=(Variable("move", (0, 1)),))
+    >>> policy = Policy(door, [[1.0, 3.0], [1.0, 3.0]])
+    >>> policy.extend(door, prior=[scale(0.5, {"danger": 1})]).weights.tolist()
+    [[1.0, 3.0], [0.5, 1.5]]
+    """
     return _Scale(_finite(factor, "scale", at_least=0.0), dict(when or {}))
 
 
 def set_weight(value: float, when: Condition | None = None) -> Prior:
-    """Prior: give the chosen weights this value."""
+    """Prior: give the chosen weights this value.
+
+    Parameters
+    ----------
+    value : float
+        Finite.
+    when : mapping, optional
+        ``{variable: value or values}``: only there.
+
+    Raises
+    ------
+    TaskliftError
+        If the value is not a finite number.
+
+    Examples
+    --------
+    >>> from tasklift.tasks.policy import Policy
+    >>> from tasklift.tasks.task import Task, Variable
+    >>> door = Task("door", inputs=(Variable("danger", (0, 1)),), outputs=(Variable("move", (0, 1)),))
+    >>> policy = Policy(door, [[1.0, 3.0], [1.0, 3.0]])
+    >>> policy.extend(door, prior=[set_weight(0.0, {"danger": 1, "move": 1})]).weights.tolist()
+    [[1.0, 3.0], [1.0, 0.0]]
+    """
     return _SetWeight(_finite(value, "set_weight"), dict(when or {}))
 
 

@@ -1,4 +1,4 @@
-"""Tasks: variables, reinforcement signals as rules over them, and simpler versions of a task.
+"""Tasks: variables, reinforcement signals over them, and simpler versions of a task.
 
 A task is a table of inputs × outputs (Singh & Adams 2006, section III; Tables I to III), declared by its
 variables. A simpler task V drops or fixes some of them; it remembers the task it came from, so that a policy
@@ -38,17 +38,17 @@ class Task:
 
     Parameters
     ----------
-    name
+    name : str
         For reports and files.
-    inputs, outputs
-        The variables; names are unique over both. Without inputs the task has one row.
-    signals
-        Local signals, as rules over the variables.
-    impossible
+    inputs, outputs : sequence of Variable
+        The variables. Names are unique over both. Without inputs the task has one row.
+    signals : sequence of Signal
+        Local signals, each with the condition at which it holds.
+    impossible : sequence of mapping
         Conditions under which an output is not possible (Table III, "inapplicable action").
-    impossible_signal
+    impossible_signal : float
         What is added there (the paper's strongly negative signal, −0.5).
-    time_reward
+    time_reward : float
         Size of the global signal for the time taken (the paper's +0.2 for V, +0.1 for T).
     parent, fixed, removed
         For a simplified task, filled in by :meth:`simplify`: the task it came from, the variables that were
@@ -58,6 +58,21 @@ class Task:
     ------
     TaskliftError
         On unknown or doubled names and values, and on conditions that nothing can meet.
+
+    Examples
+    --------
+    >>> door = Task(
+    ...     "door",
+    ...     inputs=(Variable("danger", (0, 1)), Variable("armed", (False, True))),
+    ...     outputs=(Variable("move", (0, 1), labels=("stop", "go")),),
+    ...     signals=(Signal(-1.0, {"danger": 1, "armed": False, "move": "go"}, "walked into it"),),
+    ... )
+    >>> door.shape
+    (4, 2)
+    >>> door.signal_table().tolist()
+    [[0.0, 0.0], [0.0, 0.0], [0.0, -1.0], [0.0, 0.0]]
+    >>> door.simplify(fix={"danger": 0}).shape
+    (2, 2)
     """
 
     name: str
@@ -103,8 +118,7 @@ class Task:
             return
         ours = {v.name: v for v in self.variables}
         for variable in self.parent.variables:
-            fates = [variable.name in part for part in (ours, self.fixed, self.removed)]
-            if sum(fates) != 1:
+            if sum(variable.name in part for part in (ours, self.fixed, self.removed)) != 1:
                 raise TaskliftError(
                     f"{where}: variable {variable.name!r} of {self.parent.name!r} must be kept, fixed "
                     "or removed, exactly one of them"
@@ -145,11 +159,11 @@ class Task:
         raise TaskliftError(f"{where or f'task {self.name!r}'}: no variable {name!r}; there are {names}")
 
     def input_index(self, values: Mapping[str, Any]) -> int:
-        """Return the row of an input given as ``{name: value}``, all variables named."""
+        """Return the row of an input given as ``{name: value}``, every variable named."""
         return self._index(values, self.inputs, "input")
 
     def output_index(self, values: Mapping[str, Any]) -> int:
-        """Return the column of an output given as ``{name: value}``, all variables named."""
+        """Return the column of an output given as ``{name: value}``, every variable named."""
         return self._index(values, self.outputs, "output")
 
     def input_values(self, index: int) -> dict[str, Value]:
@@ -237,15 +251,6 @@ class Task:
         self.need_room(max(self.shape), "the mask")
         return _mask(self.inputs, tidy), _mask(self.outputs, tidy)
 
-    def rule_table(self) -> NDArray[np.float64]:
-        """Return the summed local signals, float64 (S, A), without those for what is not possible."""
-        self.need_room(self.shape[0] * self.shape[1], "the table of signals")
-        table = np.zeros(self.shape)
-        for signal in self.signals:
-            rows, columns = self._sides(signal.when)
-            table[np.ix_(rows, columns)] += signal.value
-        return table
-
     def impossible_table(self) -> NDArray[np.bool_]:
         """Return where an output is not possible, bool (S, A)."""
         self.need_room(self.shape[0] * self.shape[1], "the table")
@@ -255,9 +260,26 @@ class Task:
             table[np.ix_(rows, columns)] = True
         return table
 
-    def signal_table(self) -> NDArray[np.float64]:
-        """Return all local signals, float64 (S, A): the rules, and ``impossible_signal`` where it applies."""
-        return self.rule_table() + np.where(self.impossible_table(), self.impossible_signal, 0.0)
+    def signal_table(self, impossible: bool = True) -> NDArray[np.float64]:
+        """Return the local signals, float64 (S, A): the sum of those that hold at each input and output.
+
+        Parameters
+        ----------
+        impossible : bool
+            Whether ``impossible_signal`` is added where an output is not possible. A sweep leaves it out: there the
+            output was not the learner's choice.
+
+        Raises
+        ------
+        TaskliftError
+            If the table would have more than :data:`LARGEST_TABLE` entries.
+        """
+        self.need_room(self.shape[0] * self.shape[1], "the table of signals")
+        table = np.zeros(self.shape)
+        for signal in self.signals:
+            rows, columns = self._sides(signal.when)
+            table[np.ix_(rows, columns)] += signal.value
+        return table + np.where(self.impossible_table(), self.impossible_signal, 0.0) if impossible else table
 
     # -- simpler versions ----------------------------------------------------------------------------------
 
@@ -285,10 +307,15 @@ class Task:
         name
             Default: this task's name with a prime.
         signals, impossible
-            The simpler task's own rules. Default: this task's, with the conditions on dropped variables
-            resolved; a rule that depends on the value of a removed input cannot be kept, and is refused.
+            The simpler task's own. Default: this task's, with the conditions on dropped variables
+            resolved; one that depends on the value of a removed input cannot be kept, and is refused.
         time_reward
             Default: this task's.
+
+        Raises
+        ------
+        TaskliftError
+            For an unknown or doubled name, an output in ``remove``, and a signal that depends on a removed input.
         """
         where = f"task {self.name!r}, simplify"
         fix, restrict = dict(fix or {}), dict(restrict or {})
@@ -398,7 +425,7 @@ class Task:
                 return f"the {side}s are in the order {orders}"
         return None
 
-    def fates(self, ancestor: Task) -> dict[str, tuple[int, ...] | None]:
+    def kept_positions(self, ancestor: Task) -> dict[str, tuple[int, ...] | None]:
         """Return, for every variable of an ancestor, the positions of its values that belong to this task.
 
         A variable of this task has the positions of its values, a fixed one the position of its one value,
@@ -411,7 +438,7 @@ class Task:
         found: dict[str, tuple[int, ...] | None] = {}
         for variable in ancestor.variables:
             values = ours.get(variable.name) or fixed.get(variable.name)
-            found[variable.name] = None if values is None else variable.positions(values, "fates")
+            found[variable.name] = None if values is None else variable.positions(values, "kept positions")
         return found
 
     def row_of(self, values: Mapping[str, Any]) -> int:
@@ -433,11 +460,11 @@ class Task:
     def input_rows(self, ancestor: Task) -> NDArray[np.int64]:
         """Return this task's row for each input of an ancestor, int64 (S_ancestor,); −1 where outside."""
         ancestor.need_room(ancestor.shape[0], "the map of inputs")
-        fates = self.fates(ancestor)
+        kept = self.kept_positions(ancestor)
         ours = {v.name for v in self.inputs}
         rows = np.zeros(1, dtype=np.int64)
         for variable in ancestor.inputs:
-            inside = fates[variable.name]
+            inside = kept[variable.name]
             local = np.zeros(len(variable), dtype=np.int64)
             if inside is not None:
                 local[:] = -1
@@ -449,10 +476,10 @@ class Task:
 
     def output_columns(self, ancestor: Task) -> NDArray[np.int64]:
         """Return the ancestor's output index of each of this task's outputs, int64 (A,)."""
-        fates = self.fates(ancestor)
+        kept = self.kept_positions(ancestor)
         columns = np.zeros(1, dtype=np.int64)
         for variable in ancestor.outputs:
-            inside = fates[variable.name] or ()
+            inside = kept[variable.name] or ()
             columns = np.add.outer(columns * len(variable), np.asarray(inside, dtype=np.int64)).ravel()
         return columns
 
@@ -503,7 +530,7 @@ class Task:
                 "removed": list,
             },
         )
-        rules = [
+        signals = [
             check_fields(s, f"{where}, signal", {"value": number, "when": dict, "name": str}) for s in data["signals"]
         ]
         if not all(isinstance(n, str) for n in data["removed"]):
@@ -512,7 +539,7 @@ class Task:
             name=data["name"],
             inputs=tuple(Variable.from_json(v, f"{where}, inputs") for v in data["inputs"]),
             outputs=tuple(Variable.from_json(v, f"{where}, outputs") for v in data["outputs"]),
-            signals=tuple(Signal(rule["value"], rule["when"], rule["name"]) for rule in rules),
+            signals=tuple(Signal(s["value"], s["when"], s["name"]) for s in signals),
             impossible=tuple(data["impossible"]),
             impossible_signal=data["impossible_signal"],
             time_reward=data["time_reward"],

@@ -1,4 +1,4 @@
-"""Variables with named, ordered values, and signals as rules over them: what a task is made of."""
+"""Variables with named, ordered values, and signals with conditions over them: what a task is made of."""
 
 from __future__ import annotations
 
@@ -44,14 +44,25 @@ class Variable:
 
     Parameters
     ----------
-    name
+    name : str
         Unique within a task.
-    values
-        Distinct values (numbers, strings, truth values) in table order.
-    labels
-        Optional names of the values, one each; a condition may use them in place of the values.
-    meaning
+    values : sequence of int, float, str or bool
+        Distinct values in table order, at least one.
+    labels : sequence of str, optional
+        Names of the values, one each. A condition may use them in place of the values.
+    meaning : str
         A line for readers.
+
+    Raises
+    ------
+    TaskliftError
+        For an empty name, no values, values or labels that are there twice, and numbers that are not finite.
+
+    Examples
+    --------
+    >>> danger = Variable("DL", (0, 1, 2), labels=("none", "suspected", "attacked"), meaning="danger level")
+    >>> len(danger), danger.position("suspected")
+    (3, 1)
     """
 
     name: str
@@ -145,17 +156,26 @@ class Variable:
 
 @dataclass(frozen=True)
 class Signal:
-    """A rule of reinforcement (Table III): ``value`` is added wherever all conditions hold.
+    """A reinforcement signal (Table III): ``value`` is added wherever all conditions hold.
 
     Parameters
     ----------
-    value
-        The signal; several that hold together add up.
-    when
-        For each named variable, input or output, the value or the values at which the rule holds. Empty:
-        always.
-    name
+    value : float
+        The signal. Several that hold together add up.
+    when : mapping
+        For each named variable, input or output, the value or the values at which the signal holds. Empty: always.
+    name : str
         For reports.
+
+    Raises
+    ------
+    TaskliftError
+        If the value is not a finite number, or ``when`` is not a mapping.
+
+    Examples
+    --------
+    >>> Signal(-0.1, {"MV": 0, "nWPN": 2}, "never stop when enough weapon robots").value
+    -0.1
     """
 
     value: float

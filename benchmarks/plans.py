@@ -31,10 +31,9 @@ from plans_measure import (
 
 from tasklift.building.generate import generate
 from tasklift.errors import TaskliftError
-from tasklift.plans.extract.rooms_and_corridors import extract
-from tasklift.plans.importing import import_map
+from tasklift.plans.extract.building import extract
+from tasklift.plans.importing import import_map, read_plan
 from tasklift.plans.raster import rasterise
-from tasklift.plans.read.ros import read_ros
 
 TUNED = ("cumberland", "broughton", "DIAG_labs", "grid")
 OTHERS = ("L440", "1r5", "move_base_arena", "ctcv")
@@ -53,7 +52,7 @@ def hand_made(as_a_building: bool) -> None:
         folder = MAPS / "patrolling_sim" / name
         begin = time.perf_counter()
         try:
-            plan = read_ros(folder / f"{name}.yaml")
+            plan = read_plan(folder / f"{name}.yaml")
         except TaskliftError as error:
             if not as_a_building:
                 print(f"{name:16} {str(error).split('/')[-1]}")

@@ -18,7 +18,7 @@ from tasklift.building.draw import corridor_floor, draw_graph, draw_plan, figure
 from tasklift.building.generate import generate
 from tasklift.building.graph import DOOR, INTERSECTION, ROOM, Building
 from tasklift.errors import TaskliftError
-from tasklift.plans.read.patrolling import read_graph
+from tasklift.plans.read import load_building
 
 MAPS = Path(__file__).parents[3] / "shared" / "maps" / "patrolling_sim"
 
@@ -194,7 +194,7 @@ def test_real_maps_are_drawn(tmp_path, name):
     path = MAPS / name / f"{name}.graph"
     if not path.exists():
         pytest.skip(f"no real maps here: {path} is missing")
-    building = read_graph(path)
+    building = load_building(path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure(building, hostiles=[int(np.flatnonzero(building.feature_class == DOOR)[0])]).savefig(

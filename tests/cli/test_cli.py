@@ -176,7 +176,7 @@ def test_a_folder_with_another_experiment_is_left_alone(tasklift, building):
 
 def test_unknown_files_and_policies_are_refused(tasklift, tmp_path):
     for arguments, says in [
-        (("train", "plan.dwg"), "map import"),
+        (("train", "plan.dwg"), "cannot be read"),
         (("policy", "show", "nothing.json"), "cannot be read"),
         (("policy", "export", "nothing.json", "-o", "x.csv"), "cannot be read"),
         (("runs", "show", "nowhere"), "nowhere"),

@@ -14,8 +14,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from tasklift.building.graph import BEND, CORNER, DOOR, INTERSECTION, ROOM, Building
-from tasklift.plans.read.patrolling import read_graph
-from tasklift.plans.read.ros import Plan
+from tasklift.plans.plan import Plan
+from tasklift.plans.read import patrolling
+from tasklift.plans.source import Source
 
 MAPS = Path(__file__).parents[3] / "shared" / "maps"
 LABELS = Path(__file__).parent / "data" / "willow_labels.json"
@@ -28,6 +29,11 @@ def needs_maps() -> Path:
     if not MAPS.is_dir():
         pytest.skip(f"the real maps are not here ({MAPS})")
     return MAPS
+
+
+def read_graph(path: Path, **options: object) -> Building:
+    """A .graph file as a building."""
+    return patrolling.read(Source(path)).building(**options)
 
 
 def match(a: np.ndarray, b: np.ndarray, within_m: float = WITHIN_M) -> tuple[np.ndarray, np.ndarray]:

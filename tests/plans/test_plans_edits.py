@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from plans_measure import read_graph
 from test_plans_readers import pgm, two_rooms, write_map
 
 from tasklift.building.generate import generate
@@ -19,10 +20,9 @@ from tasklift.cli.plans import map_group
 from tasklift.errors import TaskliftError
 from tasklift.plans.check import check, node_lines
 from tasklift.plans.edits import HEADER, apply_edits, parse_edits, read_edits
-from tasklift.plans.importing import export, import_map
+from tasklift.plans.exporting import export
+from tasklift.plans.importing import import_map, read_plan
 from tasklift.plans.overlay import LARGEST_PICTURE, draw_overlay
-from tasklift.plans.read.patrolling import read_graph
-from tasklift.plans.read.ros import read_ros
 
 
 def ladder() -> Building:
@@ -191,7 +191,7 @@ def test_overlays_on_the_plan_and_without(tmp_path: Path, suffix: str) -> None:
             words = [e.text for e in ElementTree.parse(picture).iter("{http://www.w3.org/2000/svg}text")]
             assert {"0", "1", "2", "room (2)", "door (1)", "start"} <= set(words)
     before = (tmp_path / f"o{suffix}").read_bytes()
-    draw_overlay(building, tmp_path / f"o{suffix}", read_ros(path))
+    draw_overlay(building, tmp_path / f"o{suffix}", read_plan(path))
     assert (tmp_path / f"o{suffix}").read_bytes() == before
     with pytest.raises(TaskliftError, match=r"\.png or \.svg"):
         draw_overlay(building, tmp_path / "o.bmp")
@@ -237,7 +237,8 @@ def test_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         result = run(map_group, arguments.split(), catch_exceptions=False)
         assert result.exit_code == 0, result.output
         assert part in result.output
-    for name in ("map.json", "map.png", "x.json", "x.svg", "s.png", "y.json", "y.png", "m.graph", "m2.pgm", "g.json"):
+    written = "map.json map-graph.png x.json x.svg s.png y.json y.png m.graph m2.pgm g.json"
+    for name in written.split():
         assert (tmp_path / name).stat().st_size > 0
     assert run(map_group, ["import", "map.yaml", "--start", "a,b"]).exit_code == 2
     assert run(map_group, ["import", "map.yaml", "--seed-point", "3"]).exit_code == 2
@@ -250,7 +251,7 @@ def test_a_large_picture_keeps_its_thin_walls(tmp_path: Path) -> None:
     grey[:4] = grey[-4:] = grey[:, :4] = grey[:, -4:] = 0
     grey[1001] = 0  # one pixel thick
     grey[1001, 100:130] = 254
-    plan = read_ros(write_map(tmp_path, image=pgm(grey)))
+    plan = read_plan(write_map(tmp_path, image=pgm(grey)))
     building, _ = import_map(tmp_path / "map.yaml")
     assert int((building.feature_class == DOOR).sum()) == 1
     draw_overlay(building, tmp_path / "large.png", plan)

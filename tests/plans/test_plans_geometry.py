@@ -16,11 +16,11 @@ from scipy import ndimage
 from tasklift.building.graph import BEND, CORNER, DOOR, INTERSECTION, ROOM, Building
 from tasklift.errors import TaskliftError
 from tasklift.plans.extract.axes import turn_before_door
+from tasklift.plans.extract.building import extract
 from tasklift.plans.extract.paths import Node
-from tasklift.plans.extract.rooms_and_corridors import extract
 from tasklift.plans.extract.space import Settings, Space, clean, to_wall
+from tasklift.plans.plan import Plan
 from tasklift.plans.raster import rasterise_floor
-from tasklift.plans.read.ros import Plan
 
 CELL_M = 0.05
 EXAMPLES = settings(derandomize=True, deadline=None, max_examples=40)
@@ -164,11 +164,11 @@ def test_a_corridor_that_begins_in_a_room_has_no_door_there() -> None:
 def test_narrow_passages_are_closed_unless_one_asks_for_them() -> None:
     rooms = [box(0, 0, 5, 5), box(5.2, 0, 10, 5), box(4.9, 2, 5.3, 2.4)]
     plan = plan_of(shapely.union_all(rooms))
-    building, _ = extract(plan, Settings(opening_m=0.2))
+    building, _ = extract(plan, Settings(narrowest_m=0.4))
     assert counts(building) == (2, 1, 0)
     # the passage is but as deep as the wall, and closed all the same
     with pytest.raises(TaskliftError, match="a single room"):
-        extract(plan, Settings(opening_m=0.3))
+        extract(plan, Settings(narrowest_m=0.6))
 
 
 # -- outlines ----------------------------------------------------------------------------------------

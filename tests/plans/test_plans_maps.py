@@ -26,10 +26,10 @@ from plans_measure import (
 from tasklift.building.generate import generate
 from tasklift.building.graph import DOOR, INTERSECTION, NONE, ROOM, Building
 from tasklift.plans.check import check
-from tasklift.plans.extract.rooms_and_corridors import extract
-from tasklift.plans.importing import import_map
+from tasklift.plans.extract.building import extract
+from tasklift.plans.importing import import_map, read_plan
+from tasklift.plans.plan import Plan
 from tasklift.plans.raster import rasterise
-from tasklift.plans.read.ros import Plan, read_ros
 
 # Junction recall, precision, median and 90th percentile of the path error: the bars.
 BARS = {
@@ -48,7 +48,7 @@ LITERAL_RECALL = {"cumberland": 0.68, "DIAG_labs": 0.66}
 @pytest.mark.parametrize("as_a_building", [False, True], ids=["as it is", "as a building"])
 def test_hand_made_graphs(name: str, as_a_building: bool) -> None:
     folder = needs_maps() / "patrolling_sim" / name
-    plan = read_ros(folder / f"{name}.yaml")
+    plan = read_plan(folder / f"{name}.yaml")
     building, _ = extract(plan)
     recall, precision, median, p90 = BARS[name]
     if not as_a_building:
@@ -100,7 +100,7 @@ def test_willow_garage() -> None:
 def test_willow_garage_is_quick_and_compiles_nothing() -> None:
     path = needs_maps() / "willow_garage" / "willow-full.yaml"
     code = (
-        "import sys, time; begin = time.process_time(); from tasklift.plans.importing import import_map; "
+        "import sys, time; begin = time.process_time(); from tasklift.plans.importing import import_map, read_plan; "
         f"import_map({str(path)!r}); print(time.process_time() - begin); assert 'numba' not in sys.modules"
     )
     best = min(

@@ -37,18 +37,25 @@ def map_group() -> None:
     """Turn floor plans into buildings; look at them, check, correct, export."""
 
 
+_force = click.option("--force", is_flag=True, help="Replace files that are there.")
+
+
 @map_group.command("import")
 @click.argument("file", type=_file)
-@click.option("-o", "--out", type=_file, help="The building to write [FILE with .json, here].")
-@click.option("--overlay", type=_file, help="The picture to write, .png or .svg [beside the building].")
+@click.option("-o", "--out", type=_file, help="The building to write.  [default: FILE with .json, here]")
+@click.option("--overlay", type=_file, help="The picture to write, .png or .svg.  [default: OUT with -graph.png]")
 @click.option("--edits", type=_file, help="Corrections to apply, see 'map edit'.")
-@click.option("--seed-point", type=_Place(), help="A point in the building, where the picture holds several.")
-@click.option("--smallest-room", type=float, help="Smallest area of a room, m² [4].")
-@click.option("--door-rule", type=click.Choice(["relative", "absolute"]), help="What is a door [relative].")
-@click.option("--narrowest", type=float, help="Narrowest passage that a robot fits through, m [0.5].")
+@click.option("--seed-point", type=_Place(), help="A point in the building, where the picture has several.")
+@click.option("--smallest-room", type=float, help="Smallest area of a room, m².  [default: 4]")
+@click.option("--door-rule", type=click.Choice(["relative", "absolute"]), help="What is a door.  [default: relative]")
+@click.option("--narrowest", type=float, help="Narrowest passage that a robot fits through, m.  [default: 0.5]")
 @click.option("--start", type=_Place(), help="Where robots begin: a point, or a node's number.")
-@click.option("--level", help="The level of an open-rmf building.")
+@click.option("--level", help="The level, of a building that has several.")
+@click.option(
+    "--resolution", "--scale", type=float, help="Metres per pixel, where the file does not say (per unit of a drawing)."
+)
 @click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")
+@_force
 def import_command(
     file: Path,
     out: Path | None,
@@ -60,15 +67,22 @@ def import_command(
     narrowest: float | None,
     start: tuple[float, float] | int | None,
     level: str | None,
+    resolution: float | None,
     allow_outside: bool,
+    force: bool,
 ) -> None:
-    """Turn a map into a building: ROS map (YAML), open-rmf .building.yaml, patrolling_sim .graph."""
+    """Turn a map into a building; 'map formats' lists what is read."""
+    from tasklift.files import output_file
     from tasklift.plans.importing import import_map
 
     if isinstance(seed_point, int):
         raise click.BadParameter("expected X,Y in metres", param_hint="--seed-point")
-    out = out or Path(f"{file.name.split('.')[0]}.json")
-    overlay = overlay or out.with_suffix(".png")
+    if out is None:
+        stem = file.name.removesuffix(file.suffix).removesuffix(".building")
+        out = Path(f"{stem}{'' if level is None else f'-{level}'}.json".replace("/", "-"))
+    overlay = overlay or out.with_name(f"{out.stem}-graph.png")
+    for target in (out, overlay):
+        output_file(target, force=force)
     building, doubts = import_map(
         file,
         out,
@@ -80,6 +94,7 @@ def import_command(
         narrowest_m=narrowest,
         start=start,
         level=level,
+        resolution_m=resolution,
         allow_outside=allow_outside,
         progress=lambda text: click.echo(f"  {text} …", err=True),
     )
@@ -89,21 +104,35 @@ def import_command(
     click.echo(f"wrote {out} and {overlay}: look at the picture, then correct with 'tasklift map edit'")
 
 
+@map_group.command("formats")
+def formats_command() -> None:
+    """List the formats of maps that are read."""
+    from tasklift.plans.read import readers
+
+    for reader in readers():
+        click.echo(reader.TITLE)
+
+
 @map_group.command("show")
 @click.argument("building", type=_file)
-@click.option("-o", "--out", type=_file, help="The picture to write, .png or .svg [BUILDING with .png].")
+@click.option("-o", "--out", type=_file, help="The picture, .png or .svg.  [default: BUILDING with -shown.png]")
 @click.option("--plan", type=_file, help="The map to draw it on; else its own sketch.")
-@click.option("--level", help="The level of an open-rmf plan.")
+@click.option("--level", help="The level of the plan.")
 @click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")
-def show_command(building: Path, out: Path | None, plan: Path | None, level: str | None, allow_outside: bool) -> None:
+@_force
+def show_command(
+    building: Path, out: Path | None, plan: Path | None, level: str | None, allow_outside: bool, force: bool
+) -> None:
     """Draw a building, with node ids."""
-    from tasklift.building.graph import Building
+    from tasklift.files import output_file
     from tasklift.plans.importing import read_plan
-    from tasklift.plans.overlay import draw_overlay
+    from tasklift.plans.overlay import ENDINGS, draw_overlay
+    from tasklift.plans.read import load_building
 
-    out = out or building.with_suffix(".png")
+    out = out or building.with_name(f"{building.stem}-shown.png")
+    output_file(out, ENDINGS, force=force, reads=[building, *([plan] if plan else [])])
     drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside)
-    draw_overlay(Building.load(building), out, drawn_on)
+    draw_overlay(load_building(building), out, drawn_on)
     click.echo(f"wrote {out}")
 
 
@@ -112,10 +141,10 @@ def show_command(building: Path, out: Path | None, plan: Path | None, level: str
 @click.option("--nodes", is_flag=True, help="List every node with its place.")
 def check_command(building: Path, nodes: bool) -> None:
     """Count what is in a building and say what looks wrong."""
-    from tasklift.building.graph import Building
     from tasklift.plans.check import check, node_lines
+    from tasklift.plans.read import load_building
 
-    loaded = Building.load(building)
+    loaded = load_building(building)
     for line in check(loaded).lines():
         click.echo(line)
     for line in node_lines(loaded) if nodes else ():
@@ -127,13 +156,18 @@ def check_command(building: Path, nodes: bool) -> None:
 @click.argument("edits", type=_file)
 @click.option("-o", "--out", type=_file, required=True, help="The corrected building to write.")
 @click.option("--overlay", type=_file, help="A picture of it to write, .png or .svg.")
-def edit_command(building: Path, edits: Path, out: Path, overlay: Path | None) -> None:
+@_force
+def edit_command(building: Path, edits: Path, out: Path, overlay: Path | None, force: bool) -> None:
     """Apply a file of corrections: drop, merge, move nodes, add doors and edges, set classes."""
-    from tasklift.building.graph import Building
+    from tasklift.files import output_file
     from tasklift.plans.edits import apply_edits, read_edits
-    from tasklift.plans.overlay import draw_overlay
+    from tasklift.plans.overlay import ENDINGS, draw_overlay
+    from tasklift.plans.read import load_building
 
-    corrected, remarks = apply_edits(Building.load(building), read_edits(edits))
+    output_file(out, (".json",), force=force, reads=[building, edits])
+    if overlay is not None:
+        output_file(overlay, ENDINGS, force=force, reads=[building, edits])
+    corrected, remarks = apply_edits(load_building(building), read_edits(edits))
     corrected.save(out)
     if overlay is not None:
         draw_overlay(corrected, overlay)
@@ -146,14 +180,19 @@ def edit_command(building: Path, edits: Path, out: Path, overlay: Path | None) -
 @click.argument("building", type=_file)
 @click.argument("out", type=_file)
 @click.option("--resolution", type=float, default=0.05, show_default=True, help="Metres per pixel.")
-def export_command(building: Path, out: Path, resolution: float) -> None:
+@_force
+def export_command(building: Path, out: Path, resolution: float, force: bool) -> None:
     """Write a building as .graph (patrolling_sim) or as a ROS map (.yaml and .pgm)."""
-    from tasklift.building.graph import Building
-    from tasklift.plans.importing import export
+    from tasklift.files import output_file
+    from tasklift.plans.exporting import ENDINGS, export, outputs
+    from tasklift.plans.read import load_building
 
-    for remark in export(Building.load(building), out, resolution):
+    output_file(out, ENDINGS, force=force, reads=[building])
+    for target in outputs(out):
+        output_file(target, force=force, reads=[building])
+    for remark in export(load_building(building), out, resolution):
         click.echo(f"note: {remark}")
-    click.echo(f"wrote {out}")
+    click.echo(f"wrote {' and '.join(map(str, outputs(out)))}")
 
 
 @map_group.command("generate")
@@ -162,14 +201,17 @@ def export_command(building: Path, out: Path, resolution: float) -> None:
 @click.option("--corridors", type=int, default=25, show_default=True)
 @click.option("--rooms", type=int, default=6, show_default=True)
 @click.option("--features", type=int, default=16, show_default=True)
-@click.option("--doors", type=int, help="Features that are doors [a quarter, at least 4].")
+@click.option("--doors", type=int, help="Features that are doors.  [default: a quarter, at least 4]")
 @click.option("--seed", type=int, default=0, show_default=True)
+@_force
 def generate_command(
-    out: Path, intersections: int, corridors: int, rooms: int, features: int, doors: int | None, seed: int
+    out: Path, intersections: int, corridors: int, rooms: int, features: int, doors: int | None, seed: int, force: bool
 ) -> None:
     """Generate a building with exactly these counts."""
     from tasklift.building.generate import generate
+    from tasklift.files import output_file
 
+    output_file(out, (".json",), force=force)
     building = generate(intersections, corridors, rooms, features, doors, seed)
     building.save(out)
     click.echo(repr(building))

@@ -152,8 +152,8 @@ def _of_building(
 ) -> list[tuple[str, Trace]]:
     from tasklift.building.reading import PRESETS
     from tasklift.building.team import SCOUT, WEAPON
+    from tasklift.plans.read import load_building
     from tasklift.studies.study import Study
-    from tasklift.studies.train import load_building
     from tasklift.tasks.policy import Policy
     from tasklift.watch.sources import policy_traces, study_traces
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, OTHER, ROOM, Building
-from tasklift.errors import TaskliftError
-from tasklift.files import write_atomically
-from tasklift.plans.read.ros import Plan
+from tasklift.files import output_file, write_atomically
+from tasklift.plans.plan import Plan
 
 # Told apart by shape as well as by colour
 _SIGNS: tuple[tuple[str, int, int | None, str, str, float], ...] = (
@@ -26,6 +24,7 @@ _SIGNS: tuple[tuple[str, int, int | None, str, str, float], ...] = (
 LONGEST_SIDE_INCHES = 16.0
 PIXELS_PER_INCH = 100
 LARGEST_PICTURE = 2000
+ENDINGS = (".png", ".svg")
 
 
 def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | None = None) -> None:
@@ -45,9 +44,7 @@ def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | 
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".png", ".svg"):
-        raise TaskliftError(f"{path}: expected a picture that ends in .png or .svg")
+    suffix = output_file(path, ENDINGS, force=True).suffix.lower()
     low, high = _bounds(building, plan)
     width, height = high - low
     scale = LONGEST_SIDE_INCHES / max(width, height + 0.05 * max(width, height))

@@ -15,7 +15,7 @@ from tasklift.building.draw import corridor_floor, footprints
 from tasklift.building.graph import DOOR, Building
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
-from tasklift.plans.read.ros import LARGEST_PIXELS, Plan
+from tasklift.plans.plan import LARGEST_PIXELS, Plan
 
 DOOR_GAP_M = 1.0
 WALL_M = 0.2

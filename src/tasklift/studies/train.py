@@ -10,9 +10,9 @@ from tasklift import stats
 from tasklift.building.graph import Building
 from tasklift.building.reading import PRESETS
 from tasklift.building.team import SCOUT, WEAPON
-from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Cell, Progress, Store, run
 from tasklift.lab.runs import export
+from tasklift.plans.read import load_building
 from tasklift.report.page import Report
 from tasklift.studies import report
 from tasklift.studies.arms import ARMS
@@ -21,20 +21,6 @@ from tasklift.studies.paper.claims import Sample, all_samples
 from tasklift.studies.study import Study
 
 TRAINED = ("random", "expert", "direct", "copy", "prior", "copy+prior")
-
-
-def load_building(path: Path) -> Building:
-    """Read a building: our JSON, or a patrolling_sim graph (``.graph``)."""
-    if path.suffix == ".json":
-        return Building.load(path)
-    if path.suffix == ".graph":
-        from tasklift.plans.read.patrolling import read_graph
-
-        return read_graph(path)
-    raise TaskliftError(
-        f"{path}: expected a building (.json) or a patrolling_sim graph (.graph); turn a floor plan into a building "
-        "with `tasklift map import`"
-    )
 
 
 def train(

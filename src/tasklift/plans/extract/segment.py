@@ -13,11 +13,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.plans.extract.mouths import cut_mouths
-from tasklift.plans.extract.space import EIGHT, Settings, Space
+from tasklift.plans.extract.space import EIGHT, Space
 
+# A narrow place divides two spaces if its width is below this part of theirs within this distance, or below the second
+# part of the wider one's largest width: a corridor that opens into a hall without a door frame.
+DOOR_RATIO = 0.75
+NEAR_M = 1.0
+MOUTH_RATIO = 0.6
+# Of the places that divide, those up to this width are doors if their width is below this part of the space on both
+# sides, and the frame is at most so deep; up to the leaf's width it may be deeper.
+DOOR_WIDTH_M = 2.2
+FRAME_RATIO = 0.76
+FRAME_M = 1.75
+LEAF_M = 1.1
+DEEP_FRAME_M = 3.0
+# Between two corridors a door is narrower than this part of both, and stands between walls of at least this extent, not
+# pillars; where a corridor leads around to the door's other side it is at least so wide.
+CORRIDOR_DOOR_RATIO = 0.58
+WALL_M = 3.0
+NARROWEST_DOOR_M = 0.8
+# A room is somewhere at least twice this wide, and with one way in at most so many times longer than wide. At most this
+# part of its border is open without being a door, were it a square.
+ROOM_HALF_WIDTH_M = 0.7
+ROOM_ELONGATION = 4.0
+ROOM_OPENNESS = 0.22
+# With several ways in, all doors or not, a room is at most this many times its half width (m) times longer than wide:
+# narrow and long is a corridor.
+THROUGH_ELONGATION = 1.7
+MOUTH_ELONGATION = 1.4
+# Below this half width, and with several ways in, what opens by more than this part of its width is corridor.
+HALL_HALF_WIDTH_M = 1.85
+MOUTH_SHARE = 0.52
+# A dead end wide open to a space is part of it if its area is below this part.
+BAY_SHARE = 0.25
+# Straight ahead of a door across a corridor is looked for so far; a gap so near to an opening is the same place.
 BEYOND_M = 1.0
 NEAR_GAP_M = 0.5
-CORRIDOR_ELONGATION = 3.0  # what is longer is no bay of a room
+CORRIDOR_ELONGATION = 3.0  # what is longer is not a bay of a room
 
 
 @dataclass(eq=False)
@@ -33,59 +65,68 @@ class Opening:
     is_door: bool
 
 
-def divide(space: Space, settings: Settings) -> tuple[NDArray[np.int32], list[Opening], Regions, NDArray[np.bool_]]:
+@dataclass(eq=False)
+class Division:
+    """A space divided at its narrow places.
+
+    ``region`` is ``int32 (H, W)``: the regions from 1 on, 0 where not free. ``openings`` are the places between
+    them, ``measure`` is what is known of each, ``is_room`` says which are rooms; row 0 of both is what is not free.
+    """
+
+    space: Space
+    region: NDArray[np.int32]
+    openings: list[Opening]
+    measure: Regions
+    is_room: NDArray[np.bool_]
+
+
+def divide(space: Space) -> Division:
     """Divide the free space at its narrow places.
 
     Every pixel climbs to the top of the ``R`` around it; tops whose pass is hardly lower than they are belong
     together. What stays apart are the regions.
-
-    Returns
-    -------
-    tuple
-        Regions ``int32 (H, W)``, from 1 on, 0 where not free; the openings between them; what is known of
-        each region; and which regions are rooms.
     """
     half = space.half_width_m
     top = _climb(half)
     basin, peak = _number_tops(top, half)
     a, b, height, where = _passes(basin, half)
     joined = height >= 0.95 * np.maximum(peak[a], peak[b])
-    narrow = 2 * height < settings.door_width_m
-    narrow &= height < settings.door_ratio * np.maximum(peak[a], peak[b])
+    narrow = 2 * height < DOOR_WIDTH_M
+    narrow &= height < DOOR_RATIO * np.maximum(peak[a], peak[b])
     perhaps = where[narrow]
     group = _join(len(peak), a[joined], b[joined])
     basin = group[basin]
     merged_peak = np.zeros(group.max() + 1, np.float32)
     np.maximum.at(merged_peak, group, peak)
     a, b, height, where = _passes(basin, half)
-    root = _merge(space, settings, basin, merged_peak, (a, b, height, where))
-    region, openings, measure = _tidy(space, settings, root[basin])
-    is_room = measure.rooms(settings)
+    root = _merge(space, basin, merged_peak, (a, b, height, where))
+    region, openings, measure = _tidy(space, root[basin])
+    is_room = measure.rooms(space.settings.smallest_room_m2)
     for opening in openings:
         # a piece of corridor between two doors is no room, however short: it goes on beyond the door
         if opening.is_door and _goes_on(space, opening):
             for r in opening.regions:
-                narrow = measure.peak_m[r] < settings.hall_half_width_m and measure.exits[r] >= 2
+                narrow = measure.peak_m[r] < HALL_HALF_WIDTH_M and measure.exits[r] >= 2
                 is_room[r] = is_room[r] and not narrow
     if not openings:
         is_room[:] = False  # one space alone: its inner structure is all there is
     ways_out = _ways_out(openings, is_room, measure)
     if ways_out:
         region, doors = cut_mouths(space, region, ways_out, is_room)
-        openings = _openings(space, settings, region)
+        openings = _openings(space, region)
         for opening in openings:
             near = np.hypot(*(doors - opening.pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M
-            opening.is_door |= near and opening.width_m < settings.door_width_m
+            opening.is_door |= near and opening.width_m < DOOR_WIDTH_M
         measure = measure_regions(space, region, openings)
         is_room = np.pad(is_room, (0, len(measure.exits) - len(is_room)))
-    walls = _Walls(space, settings)
-    openings += _inner_doors(space, settings, region, perhaps, openings, walls)
+    walls = _Walls(space)
+    openings += _inner_doors(space, region, perhaps, openings, walls)
     for opening in openings:
         if opening.is_door and not is_room[list(opening.regions)].any():
             # corridors vary in width: only a marked narrowing between walls is a door in one
-            opening.is_door = walls.beside(opening) and _is_door(settings, space, region, opening, True)
+            opening.is_door = walls.beside(opening) and _is_door(space, region, opening, True)
     openings = [o for o in openings if o.is_door or o.regions[0] != o.regions[1]]
-    return region, openings, measure, is_room
+    return Division(space, region, openings, measure, is_room)
 
 
 def _climb(half: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -151,7 +192,6 @@ def _join(n: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int3
 
 def _merge(
     space: Space,
-    settings: Settings,
     basin: NDArray[np.int32],
     peak: NDArray[np.float32],
     passes: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]],
@@ -163,19 +203,19 @@ def _merge(
     half = space.half_width_m
     root = np.arange(len(peak), dtype=np.int32)
     peak = peak.copy()
-    reach = int(np.ceil(settings.near_m / space.cell_m))
+    reach = int(np.ceil(NEAR_M / space.cell_m))
     width = half.shape[1]
     for k in np.argsort(-passes[2], kind="stable").tolist():
         p, q = root[passes[0][k]], root[passes[1][k]]
         height = passes[2][k]
         if p == q:
             continue
-        if settings.door_rule == "absolute":
-            apart = 2 * height < settings.door_width_m and height < 0.95 * min(peak[p], peak[q])
+        if space.settings.door_rule == "absolute":
+            apart = 2 * height < DOOR_WIDTH_M and height < 0.95 * min(peak[p], peak[q])
         else:
             near = _near(half, root, basin, divmod(int(passes[3][k]), width), (p, q), reach)
-            apart = height < settings.door_ratio * near
-            apart = apart or height < settings.mouth_ratio * max(peak[p], peak[q])
+            apart = height < DOOR_RATIO * near
+            apart = apart or height < MOUTH_RATIO * max(peak[p], peak[q])
         if not apart:
             root[root == q] = p
             peak[p] = max(peak[p], peak[q])
@@ -197,22 +237,21 @@ def _near(
 
 
 def _is_door(
-    settings: Settings,
     space: Space,
     region: NDArray[np.int32],
     opening: Opening,
     in_corridor: bool,
 ) -> bool:
     """Whether a narrow place is a door: the space on both sides is wider, soon enough."""
-    ratio, most = settings.frame_ratio, settings.frame_m
+    ratio, most = FRAME_RATIO, FRAME_M
     if in_corridor:
-        ratio = settings.corridor_door_ratio
-    elif opening.width_m <= settings.leaf_m:
-        most = settings.deep_frame_m
-    reach = int(np.ceil(settings.deep_frame_m / space.cell_m))
+        ratio = CORRIDOR_DOOR_RATIO
+    elif opening.width_m <= LEAF_M:
+        most = DEEP_FRAME_M
+    reach = int(np.ceil(DEEP_FRAME_M / space.cell_m))
     box = tuple(slice(max(0, v - reach), v + reach + 1) for v in opening.pixel)
     side = _sides(space, region[box], opening, (box[0].start, box[1].start))
-    if side is None or opening.width_m >= settings.door_width_m:
+    if side is None or opening.width_m >= DOOR_WIDTH_M:
         return False
     roomy = space.half_width_m[box] >= opening.width_m / 2 / ratio + space.cell_m / 2
     depth = 0.0
@@ -266,14 +305,14 @@ def _goes_on(space: Space, opening: Opening) -> bool:
 
 
 def _tidy(
-    space: Space, settings: Settings, region: NDArray[np.int32]
+    space: Space, region: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], list[Opening], Regions]:
     """Join what is no space of its own to its neighbour: slivers, bays, and the two ways around a table.
 
     Returns the regions, the openings between them, and what is known of each.
     """
     while True:
-        openings = _openings(space, settings, region)
+        openings = _openings(space, region)
         measure = measure_regions(space, region, openings)
         root = np.arange(len(measure.area_m2), dtype=np.int32)
         mouths: dict[tuple[int, int], int] = {}
@@ -284,13 +323,13 @@ def _tidy(
         touched: set[int] = set()
         for opening in sorted(openings, key=lambda o: -o.width_m):
             a, b = sorted(opening.regions, key=lambda r: (measure.area_m2[r], r))  # a is the smaller one
-            if opening.is_door and measure.area_m2[a] >= settings.smallest_room_m2 / 2:
+            if opening.is_door and measure.area_m2[a] >= space.settings.smallest_room_m2 / 2:
                 continue
             overflows = measure.elongation[a] < 0.8  # its own largest circle reaches into the neighbours
-            tiny = measure.area_m2[a] < settings.smallest_room_m2 / 2
+            tiny = measure.area_m2[a] < space.settings.smallest_room_m2 / 2
             bay = (
                 exits[a] == 1
-                and measure.area_m2[a] < settings.bay_share * measure.area_m2[b]
+                and measure.area_m2[a] < BAY_SHARE * measure.area_m2[b]
                 and measure.elongation[a] < 1.5
                 and opening.width_m > 1.4 * measure.peak_m[a]
             )
@@ -319,18 +358,18 @@ class Regions:
     exits: NDArray[np.int64]
     mouth: NDArray[np.float64]
 
-    def rooms(self, settings: Settings) -> NDArray[np.bool_]:
-        """Which regions are rooms; the others are corridors."""
-        most = settings.room_elongation
-        through = np.where(self.openness > 0, settings.mouth_elongation, settings.through_elongation)
+    def rooms(self, smallest_m2: float) -> NDArray[np.bool_]:
+        """Which regions are rooms, with this area at least; the others are corridors."""
+        most = ROOM_ELONGATION
+        through = np.where(self.openness > 0, MOUTH_ELONGATION, THROUGH_ELONGATION)
         longest = np.where(self.exits <= 1, most, np.minimum(most, through * self.peak_m))
-        narrow = (self.exits >= 2) & (self.peak_m < settings.hall_half_width_m)
+        narrow = (self.exits >= 2) & (self.peak_m < HALL_HALF_WIDTH_M)
         return (
-            (self.area_m2 >= settings.smallest_room_m2)
-            & (self.peak_m >= settings.room_half_width_m)
-            & (self.openness <= settings.room_openness)
+            (self.area_m2 >= smallest_m2)
+            & (self.peak_m >= ROOM_HALF_WIDTH_M)
+            & (self.openness <= ROOM_OPENNESS)
             & (self.elongation <= longest)
-            & ~(narrow & (self.mouth > settings.mouth_share))
+            & ~(narrow & (self.mouth > MOUTH_SHARE))
         )
 
 
@@ -354,7 +393,7 @@ def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Open
     return Regions(area, peak, area / across**2, openness, exits, widest / across)
 
 
-def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> list[Opening]:
+def _openings(space: Space, region: NDArray[np.int32]) -> list[Opening]:
     """One opening for every connected stretch of border between two regions."""
     from scipy import ndimage
 
@@ -388,7 +427,7 @@ def _openings(space: Space, settings: Settings, region: NDArray[np.int32]) -> li
             # half a cell less on either side: the wall begins at the edge of its first cell
             opening = 2 * float(half[r[best] * width + c[best]]) - space.cell_m
             found.append(Opening(pixel, pair, opening, False))
-            found[-1].is_door = _is_door(settings, space, region, found[-1], False)
+            found[-1].is_door = _is_door(space, region, found[-1], False)
     return found
 
 
@@ -407,7 +446,6 @@ def _ways_out(
 
 def _inner_doors(
     space: Space,
-    settings: Settings,
     region: NDArray[np.int32],
     passes: NDArray[np.int64],
     others: list[Opening],
@@ -425,12 +463,12 @@ def _inner_doors(
         row, column = (int(v) for v in divmod(int(passes[k]), region.shape[1]))
         number = int(region[row, column])
         opening = Opening((row, column), (number, number), 2 * half[k] - space.cell_m, True)
-        if not settings.narrowest_m <= opening.width_m <= settings.leaf_m:
+        if not NARROWEST_DOOR_M <= opening.width_m <= LEAF_M:
             continue
         away = np.hypot(taken[:, 0] - row, taken[:, 1] - column)
-        if away.min() * space.cell_m < settings.frame_m:
+        if away.min() * space.cell_m < FRAME_M:
             continue
-        if walls.beside(opening) and _is_door(settings, space, region, opening, True):
+        if walls.beside(opening) and _is_door(space, region, opening, True):
             taken[len(others) + len(found)] = opening.pixel
             found.append(opening)
     return found
@@ -439,7 +477,7 @@ def _inner_doors(
 class _Walls:
     """What is not free, told apart by size: walls are large, furniture and pillars are not."""
 
-    def __init__(self, space: Space, settings: Settings):
+    def __init__(self, space: Space):
         from scipy import ndimage
 
         self.space = space
@@ -447,7 +485,7 @@ class _Walls:
         self.is_wall = np.zeros(n + 1, bool)
         for i, (rows, columns) in enumerate(ndimage.find_objects(self.label), start=1):
             extent = max(rows.stop - rows.start, columns.stop - columns.start) * space.cell_m
-            self.is_wall[i] = extent >= settings.wall_m
+            self.is_wall[i] = extent >= WALL_M
 
     def beside(self, opening: Opening) -> bool:
         """Whether an opening lies between two walls."""

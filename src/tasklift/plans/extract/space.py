@@ -14,96 +14,45 @@ from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
 from tasklift.plans.extract.outline import Outline
-from tasklift.plans.read.ros import Plan
+from tasklift.plans.plan import FINEST_M, Plan
 
 EIGHT = np.ones((3, 3), bool)  # neighbours across corners count
 STRAIGHT_M = 0.1  # walls are straight within this
 ROUNDING = 1e-3  # 0.3 m are three cells of 0.1 m, whatever 0.3 / 0.1 is in binary
 DOOR_RULES = ("relative", "absolute")
+# Islands in free space whose extent is smaller are scanner noise, and furniture: they are counted as obstacles, and
+# corridors do not lead around them. In a single space without doors they are all the structure there is.
+SPECKLE_M = 0.8
+FURNITURE_M = 2.0
+LONE_SPECKLE_M = 0.2
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the extraction goes by; one setting serves all maps.
+    """What a user may want otherwise; one setting serves all maps we know.
 
     Attributes
     ----------
-    cell_m
-        Finer pictures are made coarser, up to this size of a pixel.
-    opening_m
-        Passages narrower than twice this are closed: beams of a laser scanner are no corridors.
-    speckle_m, furniture_m
-        Islands in free space whose extent is smaller are scanner noise, and furniture; they are counted as
-        obstacles, and not gone around.
+    smallest_room_m2
+        A room has at least this area.
     door_rule
-        "relative": by the next three; "absolute": every narrow place below ``door_width_m`` divides.
-    door_ratio, near_m
-        A narrow place divides two spaces if its width is below this part of theirs, within this distance.
-    mouth_ratio
-        It also divides them if its width is below this part of the wider one's largest: a corridor that opens
-        into a hall without a door frame.
-    smallest_room_m2, room_half_width_m, room_elongation
-        A room has at least this area, is at some place at least twice this wide, and, with one way in, is at
-        most so many times longer than wide.
-    room_openness
-        At most this part of a room's border is open without being a door, were the room a square.
-    through_elongation, mouth_elongation
-        With several ways in, all doors or not, a room is at most this many times its half width (m) times
-        longer than wide: narrow and long is a corridor.
-    hall_half_width_m, mouth_share
-        Below this half width, and with several ways in, what opens by more than this part of its width is a
-        piece of corridor.
-    bay_share
-        A dead end wide open to a space is part of it if its area is below this part.
-    door_width_m, frame_ratio, frame_m, leaf_m, deep_frame_m
-        Of the places that divide, those up to this width are doors whose width is below this part of the
-        space on both sides, at most this far from one side to the other; up to ``leaf_m`` wide they may be
-        this deep.
-    corridor_door_ratio, wall_m, narrowest_m
-        Between two corridors a door is narrower than this part of both, and stands between walls of at least
-        this extent, not pillars; where a corridor leads around to its other side it is at least so wide.
-    prune_m
-        A branch of a corridor that reaches less than this beyond the wall is a niche, no branch.
-    merge_m, merge_share
-        Junctions closer to each other are one, and those closer than this part of the half width.
-    bend_degrees
-        Corridors that turn by more have a bend there.
+        "relative": a door is narrower than the spaces on both sides. "absolute": every place narrower than
+        2.2 m divides.
+    narrowest_m
+        Passages narrower than this are closed: beams of a laser scanner are not corridors.
     """
 
-    cell_m: float = 0.05
-    opening_m: float = 0.25
-    speckle_m: float = 0.8
-    furniture_m: float = 2.0
-    door_rule: str = "relative"
-    door_ratio: float = 0.75
-    mouth_ratio: float = 0.6
-    near_m: float = 1.0
-    door_width_m: float = 2.2
     smallest_room_m2: float = 4.0
-    room_half_width_m: float = 0.7
-    room_elongation: float = 4.0
-    room_openness: float = 0.22
-    bay_share: float = 0.25
-    prune_m: float = 0.5
-    merge_m: float = 1.0
-    merge_share: float = 0.6
-    wall_m: float = 3.0
-    narrowest_m: float = 0.8
-    frame_ratio: float = 0.76
-    corridor_door_ratio: float = 0.58
-    frame_m: float = 1.75
-    leaf_m: float = 1.1
-    deep_frame_m: float = 3.0
-    through_elongation: float = 1.7
-    mouth_elongation: float = 1.4
-    mouth_share: float = 0.52
-    hall_half_width_m: float = 1.85
-    bend_degrees: float = 25.0
+    door_rule: str = "relative"
+    narrowest_m: float = 0.5
 
 
 @dataclass(eq=False)
 class Space:
-    """The free space of one building. All arrays ``(H, W)``; row, column + ``corner`` are the plan's cells."""
+    """The free space of one building. All arrays ``(H, W)``; row, column + ``corner`` are the plan's cells.
+
+    Islands in it smaller than ``furniture_m`` were taken out.
+    """
 
     free: NDArray[np.bool_]
     half_width_m: NDArray[np.float32]
@@ -111,6 +60,8 @@ class Space:
     cell_m: float
     factor: int
     corner: tuple[int, int]
+    settings: Settings = field(default_factory=Settings)
+    furniture_m: float = FURNITURE_M
     doubts: list[str] = field(default_factory=list)
 
     @cached_property
@@ -127,10 +78,17 @@ class Space:
         return np.asarray(points, float) / self.factor - self.corner - 0.5
 
 
-def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = None) -> Space:
+def clean(
+    plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = None, keep_islands: bool = False
+) -> Space:
     """Return the free space of the building in ``plan``, without noise, beams, furniture, and the outdoors.
 
-    ``seeds`` are points in it, rows and columns ``(n, 2)`` of the plan's pixels.
+    Parameters
+    ----------
+    seeds
+        Points in it, rows and columns ``(n, 2)`` of the plan's pixels.
+    keep_islands
+        Whether furniture and the larger specks stay.
 
     Raises
     ------
@@ -139,19 +97,20 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     """
 
     doubts: list[str] = []
-    factor = max(1, int(settings.cell_m / plan.resolution_m + 1e-6))
+    speckle_m, furniture_m = (LONE_SPECKLE_M, 0.0) if keep_islands else (SPECKLE_M, FURNITURE_M)
+    factor = max(1, int(FINEST_M / plan.resolution_m + 1e-6))
     cell = plan.resolution_m * factor
     free = _coarser(plan.free, factor)
     if not free.any():
         raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
     free = np.pad(free, 1)
-    filled = fill_islands(free, settings.speckle_m / cell)
+    filled = fill_islands(free, speckle_m / cell)
     free = free | filled
-    radius = max(0.5, settings.opening_m / cell)
+    radius = max(0.5, settings.narrowest_m / 2 / cell)
     core = to_wall(free) >= radius - ROUNDING
     if not core.any():
         raise TaskliftError(
-            f"{plan.name}: no free space wider than {2 * settings.opening_m:g} m; is the resolution right? "
+            f"{plan.name}: no free space wider than {settings.narrowest_m:g} m; is the resolution right? "
             "(--narrowest lets narrower passages through)"
         )
     inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
@@ -159,12 +118,12 @@ def clean(plan: Plan, settings: Settings, seeds: NDArray[np.float64] | None = No
     rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
     box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
     chosen, filled = chosen[box], filled[box]
-    furniture = fill_islands(chosen, settings.furniture_m / cell)
+    furniture = fill_islands(chosen, furniture_m / cell)
     filled = (filled | furniture) & (chosen | furniture)
     chosen = chosen | furniture
     half = to_wall(chosen) * np.float32(cell)
     corner = int(rows[0]) - 2, int(columns[0]) - 2
-    return Space(chosen, half, filled, cell, factor, corner, doubts)
+    return Space(chosen, half, filled, cell, factor, corner, settings, furniture_m, doubts)
 
 
 def to_wall(free: NDArray[np.bool_]) -> NDArray[np.float32]:

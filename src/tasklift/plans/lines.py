@@ -1,0 +1,87 @@
+"""Floor plans that come as lines: walls and floors drawn on a fine grid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.plans.plan import LARGEST_PIXELS, Plan
+from tasklift.plans.source import Source
+
+RESOLUTION_M = 0.05
+WALL_M = 0.1
+MARGIN_M = 1.0
+
+Points = NDArray[np.float64]
+
+
+def plan_of_lines(
+    source: Source,
+    name: str,
+    walls: Sequence[Points],
+    floors: Sequence[Points] = (),
+    *,
+    doors: Points | None = None,
+    cut_doors: bool = False,
+    seeds: Points | None = None,
+    doubts: Iterable[str] = (),
+) -> Plan:
+    """The plan of walls and floors on a grid of 5 cm; without floors all within the walls' bounds is floor.
+
+    Parameters
+    ----------
+    walls, floors
+        Lines and polygons, ``(n, 2)`` points each (m).
+    doors
+        ``(K, 2, 2)``: both ends of every door (m), or ``None`` where the file does not tell.
+    cut_doors
+        Whether walls run through the doors, and have to be opened there.
+    seeds
+        ``(n, 2)``: points (m) in the building, or ``None``.
+
+    Raises
+    ------
+    TaskliftError
+        If the lines extend farther than a plan may.
+    """
+    from PIL import Image, ImageDraw
+
+    points = np.concatenate([*walls, *floors])
+    low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
+    width, height = (float(v) for v in np.ceil((high - low) / RESOLUTION_M))
+    if not width * height <= LARGEST_PIXELS:
+        raise source.fault(
+            f"{name}: {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m are more than fits {LARGEST_PIXELS:,} cells of "
+            f"{RESOLUTION_M:g} m; is the measurement right, and the unit?"
+        )
+
+    def pixels(line: Points) -> list[tuple[float, float]]:
+        at = (line - low) / RESOLUTION_M
+        return [(x - 0.5, height - y - 0.5) for x, y in at.tolist()]
+
+    thickness = max(1, round(WALL_M / RESOLUTION_M))
+    floor = Image.new("1", (int(width), int(height)), 0 if len(floors) else 1)
+    pen = ImageDraw.Draw(floor)
+    for polygon in floors:
+        pen.polygon(pixels(polygon), fill=1)
+    drawn = Image.new("1", floor.size, 0)
+    pen = ImageDraw.Draw(drawn)
+    for line in walls:
+        pen.line(pixels(line), fill=1, width=thickness)
+    if cut_doors and doors is not None:
+        for door in doors:
+            pen.line(pixels(door), fill=0, width=2 * thickness + 1)
+    wall, inside = np.asarray(drawn, bool), np.asarray(floor, bool)
+    return Plan(
+        name,
+        inside & ~wall,
+        ~inside & ~wall,
+        np.where(wall, 0, np.where(inside, 254, 205)).astype(np.uint8),
+        RESOLUTION_M,
+        (float(low[0]), float(low[1]), 0.0),
+        tuple(doubts),
+        doors_m=doors,
+        seeds_m=seeds,
+    )

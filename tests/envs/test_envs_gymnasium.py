@@ -8,7 +8,8 @@ import pytest
 from tasklift.envs.gymnasium import Event, Factored
 from tasklift.errors import TaskliftError
 from tasklift.learning.compare import compare
-from tasklift.learning.curriculum import Curriculum, Stage
+from tasklift.learning.curriculum import Curriculum
+from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning, evaluate, learn_values
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task, Variable

@@ -14,8 +14,8 @@ from test_values import Gate
 
 from tasklift.errors import TaskliftError
 from tasklift.learning.approx import Approximation, approximate, fidelity, learn_approximate, play
-from tasklift.learning.steps import Step
 from tasklift.learning.values import ValueLearning, evaluate, learn_values
+from tasklift.learning.worlds import Step
 from tasklift.tasks import task as task_module
 from tasklift.tasks.policy import Policy, invert, scale, set_weight, swap
 from tasklift.tasks.task import Task, Variable

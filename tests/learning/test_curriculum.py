@@ -14,11 +14,12 @@ from test_values import Gate, random_model
 
 from tasklift.errors import TaskliftError
 from tasklift.learning.compare import compare
-from tasklift.learning.curriculum import Curriculum, Stage
+from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.guard import Guard, SequentialTest
-from tasklift.learning.reinforcement import Outcomes, Reinforcement, reinforce, sweep
-from tasklift.learning.steps import Step, StepOutcomes
+from tasklift.learning.reinforcement import Reinforcement, Sweep, reinforce, sweep
+from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning, learn_values
+from tasklift.learning.worlds import Outcomes, Step, StepOutcomes
 from tasklift.tasks.policy import Policy, swap
 from tasklift.tasks.task import Signal, Task, Variable
 
@@ -30,8 +31,8 @@ def corridor_curriculum(**target) -> Curriculum:
     options = {"trials": 60, "prior": [OPPOSITE]} | target
     return Curriculum(
         [
-            Stage("open", simple_task(), Corridor(hazard=False), repeats=5),
-            Stage("gate", Corridor.task, Corridor(), **options),
+            Stage("open", simple_task(), Corridor(hazard=False), Sweep()),
+            Stage("gate", Corridor.task, Corridor(), Reinforcement(), **options),
         ]
     )
 
@@ -91,7 +92,7 @@ def test_a_budget_of_steps() -> None:
     run = Curriculum([Stage("s", Gate.task, Gate(), learner, steps=300)]).run()
     steps = run.outcomes["s"].steps
     assert steps[:-1].sum() < 300 <= steps.sum()
-    weights = Curriculum([Stage("s", Gate.task, Gate(), steps=300)]).run().outcomes["s"].steps
+    weights = Curriculum([Stage("s", Gate.task, Gate(), Reinforcement(), steps=300)]).run().outcomes["s"].steps
     assert weights[:-1].sum() < 300 <= weights.sum()
 
 
@@ -126,7 +127,7 @@ def test_trust_in_weights_is_a_number_of_signals() -> None:
         def run(self, *_, **__):  # pragma: no cover
             raise AssertionError
 
-    entered = Stage("s", task, Nothing(), trials=1, trust=4).enter(Policy(task, weights))
+    entered = Stage("s", task, Nothing(), Reinforcement(), trials=1, trust=4).enter(Policy(task, weights))
     # the mean weight of a row is worth four signals of 0.25; chances stay as they are
     assert entered.weights.tolist() == [[0.5, 1.0, 1.5], [0.0, 0.0, 0.0]]
 
@@ -184,7 +185,7 @@ def test_the_rollback_policy_is_the_one_with_which_the_best_block_began() -> Non
     # learning that is punished for going: it gets worse and worse, so the best block is an early one
     spoilt = Corridor.task.simplify(signals=[Signal(-0.5, {"go": 1})], time_reward=0.0)
     start = Policy(spoilt, np.tile([0.5, 9.0], (6, 1)))
-    stage = Stage("spoilt", spoilt, Corridor(hazard=False), trials=60)
+    stage = Stage("spoilt", spoilt, Corridor(hazard=False), Reinforcement(), trials=60)
     run = Curriculum([stage], block=10, best_by=("success", "steps")).run(0, initial=start)
     assert np.array_equal(run.best.weights, start.weights)
     assert not np.array_equal(run.policy.weights, start.weights)
@@ -194,7 +195,7 @@ def test_the_rollback_policy_is_the_one_with_which_the_best_block_began() -> Non
 
 def test_one_lucky_trial_is_no_best_block() -> None:
     # a budget of steps runs weights trial by trial, and a last block may be cut short; neither is a block to judge by
-    stage = Stage("s", Gate.task, Gate(), steps=400)
+    stage = Stage("s", Gate.task, Gate(), Reinforcement(), steps=400)
     run = Curriculum([stage], block=10, best_by=["steps"]).run(3)
     steps = run.outcomes["s"].steps
     full = steps[: len(steps) // 10 * 10].reshape(-1, 10).mean(axis=1)
@@ -208,8 +209,8 @@ def test_one_lucky_trial_is_no_best_block() -> None:
 
 
 def test_after_a_cap_the_next_stage_enters_with_the_rollback_policy() -> None:
-    first = Stage("first", Gate.task, Gate(), trials=200, max_losses=4)
-    second = Stage("second", Gate.task, Gate(False), trials=5)
+    first = Stage("first", Gate.task, Gate(), Reinforcement(), trials=200, max_losses=4)
+    second = Stage("second", Gate.task, Gate(False), Reinforcement(), trials=5)
     run = Curriculum([first, second], block=3).run(5)
     alone = Curriculum([first], block=3).run(5)
     assert alone.stopped == "first"
@@ -402,7 +403,7 @@ class Trap:
         raise AssertionError("trained before the mistake was found")
 
 
-GOOD = Stage("gate", Corridor.task, Trap(), trials=5)
+GOOD = Stage("gate", Corridor.task, Trap(), Reinforcement(), trials=5)
 BY_VALUE = Stage("gate", Gate.task, Gate(), ValueLearning(), trials=5)
 OTHER = Task("other", (Variable("place", (0, 1, 2)), Variable("shut", ("no", "yes"))), Corridor.task.outputs)
 
@@ -418,8 +419,11 @@ OTHER = Task("other", (Variable("place", (0, 1, 2)), Variable("shut", ("no", "ye
         ([replace(GOOD, rehearsal=True, max_losses=5)], {}, "a rehearsal loses nothing"),
         ([GOOD], {"max_losses": 0}, "curriculum, max_losses: expected a whole number of at least 1"),
         ([GOOD], {"best_by": ["luck"]}, "best_by: expected losses"),
-        ([replace(GOOD, repeats=2)], {}, "a sweep .* has its own budget"),
-        ([replace(BY_VALUE, trials=None, repeats=2)], {}, "a sweep reinforces weights"),
+        ([replace(GOOD, learner=Sweep())], {}, "stage 'gate': a sweep has its own budget"),
+        ([replace(BY_VALUE, trials=None)], {}, "stage 'gate': has no budget"),
+        ([replace(GOOD, learner=Sweep(), trials=None, guard=Guard())], {}, "a guard needs a share of a budget"),
+        ([replace(GOOD, guard=Guard("losses"))], {"block": None}, "a guard takes turns by blocks"),
+        ([replace(GOOD, trials=None, steps=9, learner=Reinforcement(time_signal="baseline"))], {}, "baseline"),
         ([replace(GOOD, learner=ValueLearning())], {}, "whole trials only"),
         ([replace(GOOD, prior=[swap("go", when={"shut": 3})])], {}, "'shut' has no value 3"),
         ([replace(GOOD, prior=[swap("come")])], {}, "no variable 'come'"),
@@ -454,7 +458,7 @@ def test_mistakes_are_named_before_anything_is_trained(stages: list, options: di
         (lambda: Guard("steps", window=5), "windows have equally many steps"),
         (lambda: SequentialTest().update(2), "from -1 to 1"),
         (lambda: compare(corridor_curriculum(), seeds=1), "seeds: expected a whole number of at least 2"),
-        (lambda: compare(Curriculum([corridor_curriculum().stages[0]]), seeds=2), "the last stage is a sweep"),
+        (lambda: compare(Curriculum(corridor_curriculum().stages[:1]), seeds=2), "stage has its learner's budget"),
         (lambda: compare(corridor_curriculum(), seeds=2, performance="return"), "no returns"),
     ],
 )

@@ -10,9 +10,10 @@ import pytest
 import tasklift as tl
 from tasklift.building import SCOUT, WEAPON, Mission, generate
 from tasklift.envs.gymnasium import Factored
-from tasklift.learning.curriculum import Curriculum, Stage
+from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.guard import Guard
 from tasklift.learning.model import Model
+from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning, learn_values
 from tasklift.tasks.task import Signal, Task, Variable
 
@@ -163,7 +164,7 @@ def test_pure_copying_in_the_building_search_is_seen_to_hurt() -> None:
         simple = hunt.task.simplify(fix={"DL": 0, "GL": 0}, signals=[Signal(-0.2, {"MV": 0})], time_reward=0.2)
         guard = Guard("losses", share=0.25, bound=15)
         stages = [
-            Stage("V", simple, hunt.without_hostiles(), repeats=5),
+            Stage("V", simple, hunt.without_hostiles(), tl.Sweep()),
             Stage("T", hunt.task, hunt, settings, trials=400, guard=guard),
         ]
         run = Curriculum(stages).run(seed)

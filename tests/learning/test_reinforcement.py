@@ -9,15 +9,10 @@ import pytest
 
 import tasklift as tl
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import (
-    SWEEP_STAGE,
-    TARGET_STAGE,
-    Outcomes,
-    Reinforcement,
-    reinforce,
-    sweep,
-    sweep_curve,
-)
+from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
+from tasklift.learning.learner import Run
+from tasklift.learning.reinforcement import Reinforcement, Sweep, reinforce, sweep
+from tasklift.learning.worlds import Outcomes
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy, swap
 from tasklift.tasks.task import Signal, Task, Variable
@@ -117,7 +112,7 @@ def test_the_whole_method_on_a_world_that_is_not_a_building() -> None:
 
 
 def test_a_sweep_tries_every_output_as_often() -> None:
-    curve = sweep_curve(Corridor(hazard=False), simple_task(), repeats=3)
+    curve = Sweep(repeats=3).learn(Corridor(hazard=False), Policy.equal(simple_task()), Run())
     assert len(curve.outcomes) == 6
     # staying never ends, going takes three steps; all of one round come before the next
     assert curve.outcomes.steps.tolist() == [LIMIT, 3] * 3
@@ -152,7 +147,7 @@ def test_provenance_tells_the_whole_story() -> None:
     told = reinforce(Corridor(), t, trials=7, seed=5, reinforcement=settings, max_losses=90).policy.provenance
     assert told["learned_by"] == "reinforce"
     assert (told["seed"], told["stage"], told["max_losses"]) == (5, TARGET_STAGE, 90)
-    assert told["reinforcement"] == dataclasses.asdict(settings)
+    assert told["settings"] == dataclasses.asdict(settings)
     assert told["before"]["prior"][0]["operation"] == "swap"
     swept = told["before"]["before"]
     assert (swept["learned_by"], swept["stage"], swept["outcomes"]["trials"]) == ("sweep", SWEEP_STAGE, 4)

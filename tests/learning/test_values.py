@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from tasklift.errors import TaskliftError
 from tasklift.learning.model import Model
-from tasklift.learning.reinforcement import Reinforcement, reinforce, sweep
-from tasklift.learning.steps import Step, StepTrials
+from tasklift.learning.reinforcement import Reinforcement, StepTrials, reinforce, sweep
 from tasklift.learning.values import ValueLearning, evaluate, learn_values
+from tasklift.learning.worlds import Step
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy, swap
 from tasklift.tasks.task import Signal, Task, Variable

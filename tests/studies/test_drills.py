@@ -15,7 +15,8 @@ from tasklift.building.team import SCOUT, WEAPON
 from tasklift.cli import main as cli
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Cell, CellResult, Store, run
-from tasklift.learning.reinforcement import DRILL_STAGE, Reinforcement, reinforce
+from tasklift.learning.chances import DRILL_STAGE
+from tasklift.learning.reinforcement import Reinforcement, reinforce
 from tasklift.studies.arms import LOSS_SIGNAL
 from tasklift.studies.drills import report as drill_report
 from tasklift.studies.drills.report import BEGIN, END, Sample, chosen, contrast, headline, paste, times, times_fewer

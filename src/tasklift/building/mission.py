@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class Mission(Setting):
     """A building, a team, hidden hostiles and the rules they live by. A world that policies are trained on.
 
-    It implements :class:`tasklift.learning.reinforcement.Trials`.
+    It implements :class:`tasklift.learning.worlds.Trials`.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Mission(Setting):
 
     @property
     def run(self) -> Callable[..., SearchOutcomes]:
-        """Run trials, as :class:`~tasklift.learning.reinforcement.Trials` asks: :meth:`Simulator.run`."""
+        """Run trials, as :class:`~tasklift.learning.worlds.Trials` asks: :meth:`Simulator.run`."""
         return self.simulator.run
 
     def evaluate(

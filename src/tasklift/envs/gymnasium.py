@@ -14,7 +14,7 @@ import numpy as np
 
 from tasklift.errors import TaskliftError
 from tasklift.learning.model import Model
-from tasklift.learning.steps import Step
+from tasklift.learning.worlds import Step
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable
 
@@ -42,7 +42,7 @@ def _nothing(event: Event) -> int:
 
 
 class Factored:
-    """A Gymnasium environment as a world that is met step by step (:class:`tasklift.learning.steps.Steps`).
+    """A Gymnasium environment as a world that is met step by step (:class:`tasklift.learning.worlds.Steps`).
 
     Parameters
     ----------

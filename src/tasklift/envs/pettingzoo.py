@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from tasklift.building import Mission
 from tasklift.building.simulator import FAILURE, SUCCESS
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import TARGET_STAGE, Reinforcement
+from tasklift.learning.chances import TARGET_STAGE
+from tasklift.learning.reinforcement import Reinforcement
 
 try:
     from gymnasium.spaces import MultiDiscrete

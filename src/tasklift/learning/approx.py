@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import GREEDY_STAGE, whole_number
-from tasklift.learning.steps import Chances, StepOutcomes, Steps, View, outcomes_of
+from tasklift.learning.chances import GREEDY_STAGE, Chances
+from tasklift.learning.learner import whole_number
+from tasklift.learning.worlds import StepOutcomes, Steps, View, outcomes_of
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy, Prior, spread
 from tasklift.tasks.task import Task

@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 
 from tasklift import stats
 from tasklift.errors import TaskliftError
-from tasklift.learning.curriculum import Curriculum, CurriculumRun, Ledger
-from tasklift.learning.reinforcement import Outcomes, whole_number
+from tasklift.learning.curriculum import Curriculum, CurriculumRun
+from tasklift.learning.learner import whole_number
+from tasklift.learning.ledger import Ledger
+from tasklift.learning.stage import Stage
+from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.policy import Policy
 
 Performance = Literal["return", "steps", "success"]
@@ -156,7 +159,7 @@ def compare(
     whole_number(first, "compare, first", at_least=1)
     whole_number(last, "compare, last", at_least=1)
     curriculum.check()
-    target = replace(curriculum.stages[-1], prior=(), trust=None, guard=None, max_losses=None)
+    target = replace(curriculum.stages[-1], prior=(), trust=None, initial=None, guard=None, max_losses=None)
     runs: list[CurriculumRun] = []
     plain: list[Outcomes] = []
     longer: list[Outcomes] = []
@@ -213,10 +216,10 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _with_source(target: Any, trials: int, steps: int) -> Any:
+def _with_source(target: Stage, trials: int, steps: int) -> Stage:
     """Return the target stage with what the earlier stages spent added to its budget."""
-    if target.repeats is not None:
-        raise TaskliftError("compare: the last stage is a sweep; give it trials= or steps= to compare with")
+    if target.own_budget:
+        raise TaskliftError("compare: the last stage has its learner's budget; give it trials= or steps= to compare")
     more = target
     if target.trials is not None:
         more = replace(more, trials=target.trials + trials)
@@ -231,10 +234,7 @@ def _head(outcomes: Outcomes, trials: int | None, steps: int | None) -> Outcomes
     if steps is not None:
         begun = np.cumsum(outcomes.steps) - outcomes.steps < steps
         n = min(n, int(begun.sum()))
-    columns: dict[str, Any] = {
-        name: value[:n] for name, value in vars(outcomes).items() if isinstance(value, np.ndarray)
-    }
-    return replace(outcomes, **columns)
+    return outcomes.first(n)
 
 
 def _curve(outcomes: Outcomes, kind: Performance) -> NDArray[np.float64]:

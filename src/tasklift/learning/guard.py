@@ -21,7 +21,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import Outcomes, whole_number
+from tasklift.learning.learner import whole_number
+from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.variable import plain_number
 
 Verdict = Literal["helps", "hurts", "can't tell yet"]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
-from tasklift.learning.steps import Step, stray_input
+from tasklift.learning.worlds import Step, stray_input
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """An explicit Markov decision process; it is a :class:`~tasklift.learning.steps.Steps` world.
+    """An explicit Markov decision process; it is a :class:`~tasklift.learning.worlds.Steps` world.
 
     Parameters
     ----------

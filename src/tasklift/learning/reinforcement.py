@@ -1,37 +1,31 @@
-"""Learning by reinforcement of weights, the paper's way; and the seam between a learner and its world.
+"""Learning by reinforcement of weights, the paper's way (Singh & Adams 2006, sections V and VI).
 
-The world runs trials and reinforces the weights it is given (:class:`Trials`); this module says which
-trials, with which settings, and keeps a record. The paper's two procedures (Singh & Adams 2006, sections V
-and VI) are :func:`sweep`, for the simple task V, and :func:`reinforce`, for the task T.
+A world of whole trials reinforces the weights it is given (:class:`.Trials`); a world that is met step by step does so
+through :class:`StepTrials`. The paper's two procedures are :class:`Sweep`, for the source task V, and
+:class:`Reinforcement`, for the target task T; :func:`sweep` and :func:`reinforce` are their short forms.
 
 Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Literal, Protocol, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-import tasklift
 from tasklift.errors import TaskliftError
+from tasklift.learning.chances import SWEEP_STAGE, Chances
+from tasklift.learning.learner import Curve, Run, provenance, whole_number
+from tasklift.learning.worlds import Outcomes, Record, StepOutcomes, Steps, Trials, View, joined, outcomes_of
+from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import plain_number
 
-SWEEP_STAGE = 1
-TARGET_STAGE = 2
-BUDGET_STAGE = 3
-DRILL_STAGE = 4
-GREEDY_STAGE = 5
-"""Stages are part of every random key, so that no two stages of an experiment share their chances."""
-
-
 _hints = cache(get_type_hints)  # slow, and settings are made by the thousand
-
 
 @dataclass(frozen=True)
 class Reinforcement:
@@ -92,62 +86,284 @@ class Reinforcement:
                 f"reinforcement, loss_signal: a loss is not rewarded, found {self.loss_signal}; use 0 or less"
             )
 
+    @property
+    def divisible(self) -> bool:
+        """Whether a run may be cut: not with the baseline, whose running mean begins anew in every run."""
+        return self.time_signal != "baseline"
 
-@dataclass(frozen=True, eq=False)
-class Outcomes:
-    """What came of trials, one entry per trial, in order.
+    def start(self, task: Task) -> Policy:
+        """Return equal weights."""
+        return Policy.equal(task, self.initial_weight)
 
-    Parameters
-    ----------
-    steps
-        int64 (n,): how many steps each took, as the world counts them (the building search counts a failed
-        trial as ``limit``, a world met step by step counts the steps that were done).
-    success
-        bool (n,).
-    losses
-        int64 (n,): what was lost in each, as the world counts it.
-    limit
-        The most steps that a trial may take.
-    """
+    def check(self, world: Trials | Steps, task: Task, run: Run) -> None:
+        """Raise :class:`TaskliftError` for a run without a budget, or a signal that could not work."""
+        if run.trials is None and run.steps is None:
+            raise TaskliftError("has no budget; give trials= or steps=")
+        if run.steps is not None and self.time_signal == "baseline":
+            raise TaskliftError("the baseline time signal needs the mean of a run's trials; give trials=, not steps=")
 
-    steps: NDArray[np.int64]
-    success: NDArray[np.bool_]
-    losses: NDArray[np.int64]
-    limit: int
+    def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
+        """Learn trial after trial, outputs chosen by weight; see :class:`.Learner`.
 
-    def __post_init__(self) -> None:
-        shapes = {np.shape(a) for a in (self.steps, self.success, self.losses)}
-        if len(shapes) != 1 or not shapes.pop():
-            raise TaskliftError("outcomes: steps, success and losses must have one entry per trial each")
+        Raises
+        ------
+        TaskliftError
+            For a policy of values, or as :meth:`check` does.
+        """
+        self.check(world, policy.task, run)
+        return _learned("reinforce", self, world, policy, run, self, None)
 
-    def __len__(self) -> int:
-        return len(self.steps)
+    def count_as(self, policy: Policy, trust: float) -> Policy:
+        """Return the policy with each row scaled so that its mean weight is worth ``trust`` of the largest signals.
 
-    def summary(self) -> dict[str, Any]:
-        """Return trials, mean steps, successes and losses in all, as JSON data."""
-        return {
-            "trials": len(self),
-            "mean_steps": float(np.mean(self.steps)) if len(self) else None,
-            "successes": int(np.sum(self.success)),
-            "losses": int(np.sum(self.losses)),
-        }
+        Raises
+        ------
+        TaskliftError
+            If the task has no signal.
+        """
+        task = policy.task
+        unit = max([abs(s.value) for s in task.signals] + [abs(task.time_reward)])
+        if unit == 0:
+            raise TaskliftError(f"trust: the task {task.name!r} has no signal to measure weights by")
+        means = policy.weights.mean(axis=1, keepdims=True)
+        scaled = np.where(means > 0, trust * unit / np.maximum(means, 1e-300), 1.0)
+        return replace(policy, weights=policy.weights * scaled)
 
 
 @dataclass(frozen=True)
-class Curve:
-    """A learned policy, and the outcome of every trial on the way to it."""
+class Sweep:
+    """Learn a simple task by trying every output for full trials (section V; 44 × 5 trials in the paper).
 
-    policy: Policy
-    outcomes: Outcomes
+    Its budget is its own: all outputs once, in order, each one in all decisions of a trial; then all of them again.
+
+    Parameters
+    ----------
+    reinforcement
+        The rules of the update; nothing is chosen by weight.
+    repeats
+        How often each output is tried.
+
+    Raises
+    ------
+    TaskliftError
+        If ``repeats`` is not a whole number of at least 1.
+
+    Examples
+    --------
+    >>> Sweep(repeats=5).trials(task_with_44_outputs)
+    220
+    """
+
+    reinforcement: Reinforcement = Reinforcement()
+    repeats: int = 5
+
+    def __post_init__(self) -> None:
+        whole_number(self.repeats, "sweep, repeats", at_least=1)
+
+    def trials(self, task: Task) -> int:
+        """Return how many trials the sweep of a task takes."""
+        return self.repeats * task.shape[1]
+
+    def start(self, task: Task) -> Policy:
+        """Return equal weights."""
+        return self.reinforcement.start(task)
+
+    def count_as(self, policy: Policy, trust: float) -> Policy:
+        """Return the policy as :meth:`Reinforcement.count_as` does."""
+        return self.reinforcement.count_as(policy, trust)
+
+    def check(self, world: Trials | Steps, task: Task, run: Run) -> None:
+        """Raise :class:`TaskliftError` for a stage that gives a sweep another budget than its own."""
+        if run.trials is not None or run.steps is not None:
+            raise TaskliftError("a sweep has its own budget; drop trials= and steps=")
+
+    def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
+        """Learn from the sweep's trials, or from those of them that ``run`` names."""
+        if run.steps is not None:
+            raise TaskliftError("sweep: expected trials, found a budget of steps")
+        left = max(0, self.trials(policy.task) - run.first_trial)
+        trials = left if run.trials is None else min(left, run.trials)
+        outputs = (run.first_trial + np.arange(trials, dtype=np.int64)) % policy.task.shape[1]
+        run = replace(run, trials=trials)
+        return _learned("sweep", self, world, policy, run, self.reinforcement, outputs)
 
 
-class Trials(Protocol):
-    """A world that runs whole trials, choosing outputs by weight and reinforcing the weights as it goes."""
+@dataclass(frozen=True)
+class Fixed:
+    """Play a policy and learn nothing: a reference, or an evaluation.
+
+    Parameters
+    ----------
+    reinforcement
+        How outputs are chosen. Default: always the heaviest, ties at random.
+
+    Examples
+    --------
+    >>> random, greedy = Fixed(Reinforcement()), Fixed()
+    """
+
+    reinforcement: Reinforcement = Reinforcement(selection="exploitation")
+
+    def start(self, task: Task) -> Policy:
+        """Return equal weights."""
+        return self.reinforcement.start(task)
+
+    def count_as(self, policy: Policy, trust: float) -> Policy:
+        """Return the policy as it is: nothing is learned that could outweigh it."""
+        return policy
+
+    def check(self, world: Trials | Steps, task: Task, run: Run) -> None:
+        """Raise :class:`TaskliftError` for a run without a budget."""
+        if run.trials is None and run.steps is None:
+            raise TaskliftError("has no budget; give trials= or steps=")
+
+    def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
+        """Run the trials and return the policy as it was."""
+        self.check(world, policy.task, run)
+        if policy.kind != "weight" and self.reinforcement.selection != "exploitation":
+            raise TaskliftError(f"fixed: {policy.kind}s cannot be drawn in proportion; select by 'exploitation'")
+        weights = policy.weights.copy()
+        return Curve(policy, _run_trials(world, policy.task, weights, run, self.reinforcement, learn=False))
+
+
+def sweep(
+    world: Trials | Steps,
+    task: Task,
+    *,
+    repeats: int = 5,
+    seed: int = 0,
+    reinforcement: Reinforcement = Reinforcement(),
+    initial: Policy | None = None,
+) -> Policy:
+    """Learn a simple task by trying every output for full trials: the short form of :class:`Sweep`.
+
+    Parameters
+    ----------
+    world
+        Where trials run.
+    task
+        The simple task V, the world's task or a simplification of it.
+    repeats, reinforcement
+        As in :class:`Sweep`.
+    seed
+        Of all random numbers.
+    initial
+        Start from this policy of ``task``; default: equal weights.
+
+    Raises
+    ------
+    TaskliftError
+        If ``initial`` is of another task, or a number is out of range.
+    """
+    learner = Sweep(reinforcement, repeats)
+    start = learner.start(task) if initial is None else initial
+    if (reason := start.task.difference(task)) is not None:
+        raise TaskliftError(f"sweep: the initial policy is of another task: {reason}")
+    return learner.learn(world, start, Run(seed, SWEEP_STAGE)).policy
+
+
+def reinforce(
+    world: Trials | Steps,
+    policy: Policy,
+    *,
+    trials: int = 100,
+    reinforcement: Reinforcement = Reinforcement(),
+    **run: Any,
+) -> Curve:
+    """Learn by reinforcement of weights, trial after trial: the short form of :class:`Reinforcement` with a run.
+
+    Parameters
+    ----------
+    world
+        Where trials run.
+    policy
+        Where to start; it is not changed.
+    trials
+        How many to run.
+    reinforcement
+        The learner.
+    **run
+        The other fields of :class:`.Run`: ``seed``, ``stage``, ``first_trial``, ``steps``, ``max_losses``.
+
+    Raises
+    ------
+    TaskliftError
+        For a policy of values, or a number out of range.
+    """
+    return reinforcement.learn(world, policy, Run(trials=trials, **run))
+
+
+def _learned(
+    how: str,
+    learner: Reinforcement | Sweep,
+    world: Trials | Steps,
+    policy: Policy,
+    run: Run,
+    reinforcement: Reinforcement,
+    outputs: NDArray[np.int64] | None,
+) -> Curve:
+    if policy.kind != "weight":
+        raise TaskliftError(f"{how}: expected a policy of weights, found one of {policy.kind}s")
+    weights = policy.weights.copy()
+    outcomes = _run_trials(world, policy.task, weights, run, reinforcement, outputs)
+    told = provenance(how, learner, policy, run, outcomes)
+    return Curve(replace(policy, weights=weights, provenance=told), outcomes)
+
+
+def _run_trials(
+    world: Trials | Steps,
+    task: Task,
+    weights: NDArray[np.float64],
+    run: Run,
+    reinforcement: Reinforcement,
+    outputs: NDArray[np.int64] | None = None,
+    learn: bool = True,
+) -> Outcomes:
+    """Run trials that update ``weights`` in place."""
+    trials_of = StepTrials(world) if isinstance(world, Steps) else world
+
+    def some(part: Run, trials: int) -> Outcomes:
+        return trials_of.run(
+            task,
+            weights,
+            trials=trials,
+            seed=part.seed,
+            stage=part.stage,
+            reinforcement=reinforcement,
+            outputs=outputs,
+            first_trial=part.first_trial,
+            learn=learn,
+            max_losses=part.max_losses,
+        )
+
+    if run.steps is None:
+        return some(run, run.trials or 0)
+    # a world of whole trials does not count steps, so ask after each trial
+    parts: list[Outcomes] = []
+    steps = losses = 0
+    while run.goes_on(len(parts), steps, losses):
+        parts.append(some(run.after(len(parts), steps, losses), 1))
+        steps, losses = steps + int(parts[-1].steps[0]), losses + int(parts[-1].losses[0])
+    return joined(parts) if parts else some(run, 0)
+
+
+# -- worlds that are met step by step --------------------------------------------------------------------------
+
+
+class StepTrials:
+    """Reinforcement of weights on a world that is met step by step, as a world of whole trials.
+
+    The signals are the task's rules, not the world's rewards; a loss adds the ``loss_signal`` to the pair that led
+    to it. The decision is made at every step.
+    """
+
+    def __init__(self, world: Steps) -> None:
+        self.world = world
 
     @property
     def task(self) -> Task:
-        """The world's full task; it also takes simplifications of it."""
-        ...
+        """The world's full task."""
+        return self.world.task
 
     def run(
         self,
@@ -162,149 +378,83 @@ class Trials(Protocol):
         first_trial: int = 0,
         learn: bool = True,
         max_losses: int | None = None,
-    ) -> Outcomes:
-        """Run trials of ``task`` and update ``weights``, float64 (S, A), in place.
-
-        Parameters
-        ----------
-        trials
-            How many. Fewer are run if the losses reach ``max_losses`` before: none begins after that.
-        seed, stage, first_trial
-            The random key: trial ``i`` of this call is number ``first_trial + i`` of the stage, whatever ran
-            before.
-        outputs
-            int64 (trials,): the output held throughout each trial, as a sweep does; None: chosen by weight.
-        learn
-            False: leave the weights as they are.
-        """
-        ...
-
-
-def sweep(
-    world: Trials,
-    task: Task,
-    *,
-    repeats: int = 5,
-    seed: int = 0,
-    reinforcement: Reinforcement = Reinforcement(),
-    initial: Policy | None = None,
-) -> Policy:
-    """Learn the simple task by trying every output for whole trials (section V; 44 × 5 trials in the paper).
-
-    Parameters
-    ----------
-    world
-        Where trials run.
-    task
-        The simple task V; one output of it is held throughout each trial, whatever the input.
-    repeats
-        Times that each output is tried: all outputs once, in order, then all of them again.
-    initial
-        Start from this policy of ``task``; default: equal weights.
-    """
-    return sweep_curve(
-        world, task, repeats=repeats, seed=seed, reinforcement=reinforcement, initial=initial
-    ).policy
+    ) -> StepOutcomes:
+        """Run trials and update ``weights``, float64 (S, A), in place; as :class:`.Trials` asks."""
+        view = View(self.world, task)
+        # in a sweep the output is not the learner's choice, so it is not punished for being impossible
+        chosen = outputs is None or reinforcement.sweep_credit == "visited"
+        signals = task.signal_table(impossible=bool(chosen))
+        records: list[Record] = []
+        chances = Chances(seed, stage)
+        lost = counted = 0
+        for i in range(trials):
+            if max_losses is not None and lost >= max_losses:
+                break
+            fixed = None if outputs is None else int(outputs[i])
+            trial = _Trial(self.world, view, weights, signals, reinforcement, fixed, learn)
+            records.append(trial.run(chances.of(first_trial + i), counted / i if i else None))
+            steps, success, losses, _ = records[-1]
+            lost += losses
+            counted += steps if success else self.world.limit
+        return outcomes_of(records, self.world.limit)
 
 
-def sweep_curve(
-    world: Trials,
-    task: Task,
-    *,
-    repeats: int = 5,
-    seed: int = 0,
-    reinforcement: Reinforcement = Reinforcement(),
-    initial: Policy | None = None,
-    max_losses: int | None = None,
-) -> Curve:
-    """Do what :func:`sweep` does, and return the outcome of every trial as well."""
-    whole_number(repeats, "sweep, repeats", at_least=1)
-    start = Policy.equal(task, reinforcement.initial_weight) if initial is None else initial
-    if start.task.difference(task) is not None:
-        raise TaskliftError(f"sweep: the initial policy is of another task: {start.task.difference(task)}")
-    outputs = np.tile(np.arange(task.shape[1], dtype=np.int64), repeats)
-    return _trials(
-        world, start, outputs, "sweep", len(outputs), seed, SWEEP_STAGE, 0, reinforcement, max_losses
-    )
+class _Trial:
+    """One trial under reinforcement of weights (sections V and VI; Table III)."""
 
+    def __init__(
+        self,
+        world: Steps,
+        view: View,
+        weights: NDArray[np.float64],
+        signals: NDArray[np.float64],
+        settings: Reinforcement,
+        fixed: int | None,
+        learn: bool,
+    ) -> None:
+        self.world, self.view, self.weights, self.signals = world, view, weights, signals
+        self.settings, self.fixed, self.learn = settings, fixed, learn
+        self.to_all = fixed is not None and settings.sweep_credit == "all"
+        self.greedy = {"exploration": 0.0, "exploitation": 1.0}.get(settings.selection, settings.q)
+        self.used: dict[tuple[int, int], None] = {}
 
-def reinforce(
-    world: Trials,
-    policy: Policy,
-    *,
-    trials: int = 100,
-    seed: int = 0,
-    stage: int = TARGET_STAGE,
-    reinforcement: Reinforcement = Reinforcement(),
-    max_losses: int | None = None,
-    first_trial: int = 0,
-) -> Curve:
-    """Learn by reinforcement of weights, trial after trial, from a given policy (section V, task T).
+    def run(self, rng: np.random.Generator, usual_steps: float | None) -> Record:
+        """Run the trial and return its steps, success, losses and return."""
+        row = self.view.row(self.world.start(rng))
+        steps, losses, total = 0, 0, 0.0
+        ended = success = False
+        while not ended and steps < self.world.limit:
+            coin, u = rng.random(), rng.random()
+            column = rules.select(self.weights[row], self.greedy, coin, u) if self.fixed is None else self.fixed
+            first = (row, column) not in self.used
+            self.used[row, column] = None
+            if not self.to_all and (first or self.settings.credit == "decision"):
+                self._signal(row, column, self.signals[row, column])
+            answer = self.world.step(self.view.columns[column])
+            steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
+            if answer.lost and not self.to_all:
+                self._signal(row, column, self.settings.loss_signal * answer.lost)
+            ended, success = answer.ended, answer.success
+            if not ended:
+                row = self.view.row(answer.input)
+        # a failed trial must not look fast to the time signal, however early it ended
+        self._finish(steps if success else self.world.limit, usual_steps)
+        return steps, success, losses, total
 
-    Parameters
-    ----------
-    policy
-        Where to start; it is not changed.
-    trials
-        How many to run.
-    stage, first_trial
-        Parts of the random key: continuing a run after 100 trials takes ``first_trial=100``.
-    max_losses
-        No trial begins once this many losses are reached.
-    """
-    return _trials(
-        world, policy, None, "reinforce", trials, seed, stage, first_trial, reinforcement, max_losses
-    )
+    def _signal(self, row: int, column: int, signal: float) -> None:
+        if self.learn:
+            self.weights[row, column] = rules.reinforce(self.weights[row, column], signal, self.settings.floor)
 
-
-def _trials(
-    world: Trials,
-    start: Policy,
-    outputs: NDArray[np.int64] | None,
-    how: str,
-    trials: int,
-    seed: int,
-    stage: int,
-    first_trial: int,
-    reinforcement: Reinforcement,
-    max_losses: int | None,
-) -> Curve:
-    whole_number(trials, f"{how}, trials", at_least=0)
-    whole_number(seed, f"{how}, seed", at_least=0)
-    whole_number(first_trial, f"{how}, first_trial", at_least=0)
-    if max_losses is not None:
-        whole_number(max_losses, f"{how}, max_losses", at_least=1)
-    if start.kind != "weight":
-        raise TaskliftError(f"{how}: expected a policy of weights, found one of {start.kind}s")
-    weights = start.weights.copy()
-    outcomes = world.run(
-        start.task,
-        weights,
-        trials=trials,
-        seed=seed,
-        stage=stage,
-        reinforcement=reinforcement,
-        outputs=outputs,
-        first_trial=first_trial,
-        max_losses=max_losses,
-    )
-    provenance = {
-        "learned_by": how,
-        "tasklift": tasklift.__version__,
-        "task": start.task.name,
-        "seed": seed,
-        "stage": stage,
-        "first_trial": first_trial,
-        "trials_asked": trials,
-        "max_losses": max_losses,
-        "reinforcement": asdict(reinforcement),
-        "outcomes": outcomes.summary(),
-        "before": dict(start.provenance),
-    }
-    return Curve(Policy(start.task, weights, provenance, start.kind, start.carried), outcomes)
-
-
-def whole_number(value: Any, what: str, at_least: int) -> None:
-    """Refuse ``value`` unless it is a whole number of at least ``at_least``; errors name ``what``."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
-        raise TaskliftError(f"{what}: expected a whole number of at least {at_least}, found {value!r}")
+    def _finish(self, steps: int, usual_steps: float | None) -> None:
+        """Apply the global signal of the time taken, and a sweep's credit to all inputs."""
+        size, limit = self.view.task.time_reward, self.world.limit
+        reward = 0.0
+        if self.fixed is not None or self.settings.time_signal == "inverted":  # a sweep is judged by its time
+            reward = size * (1 - steps / limit)
+        elif self.settings.time_signal == "baseline" and usual_steps is not None:
+            reward = 2 * size * (usual_steps - steps) / limit
+        pairs = list(self.used)
+        if self.to_all and self.fixed is not None:
+            pairs = [(row, self.fixed) for row in range(len(self.weights))]
+        for row, column in pairs:
+            self._signal(row, column, reward + (self.signals[row, column] if self.to_all else 0.0))

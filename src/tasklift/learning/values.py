@@ -12,43 +12,42 @@ Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Literal, get_args, get_type_hints
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-import tasklift
 from tasklift.errors import TaskliftError
+from tasklift.learning.chances import GREEDY_STAGE
+from tasklift.learning.learner import Curve, Run, provenance
 from tasklift.learning.model import Model
-from tasklift.learning.reinforcement import GREEDY_STAGE, TARGET_STAGE, whole_number
-from tasklift.learning.steps import Chances, StepOutcomes, Steps, View, outcomes_of
+from tasklift.learning.reinforcement import Fixed
+from tasklift.learning.worlds import Outcomes, Record, Steps, Trials, View, outcomes_of
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import plain_number
 
-Record = tuple[int, bool, int, float]
-
 
 @dataclass(frozen=True)
 class ValueLearning:
-    """Settings of a learner by value.
+    """Learn by value: Q-learning, SARSA or Expected SARSA, on a world that is met step by step.
 
     Parameters
     ----------
     rule
-        The target: best next value, value of the next choice, or mean over the chances of the next choice.
+        The target: best next value, value of the next choice, or mean over the probabilities of the next choice.
     step_size
         α, in (0, 1]. With ``step_power`` 0 it is constant.
     step_power
         Above 0, the step size of the k-th visit of a pair is k ** -step_power, but at least ``step_size``:
-        then visits are experience, and :func:`~tasklift.learning.curriculum.with_trust` can say how many a copied value
-        counts as.
+        then visits are experience, and :meth:`count_as` can say how many a copied value counts as.
     discount
         γ, from 0 to 1.
     epsilon, epsilon_decay, epsilon_least
-        Share of even choices at the start; its factor after each trial; where it stops falling.
+        Initial exploration rate (probability of a uniformly random output), its multiplicative decay per trial, and
+        its lower bound.
     temperature
         Above 0: softmax in place of greedy choice.
     initial_value
@@ -94,13 +93,58 @@ class ValueLearning:
         """Return what a learner with these settings carries at its start."""
         return {"visits": np.zeros(task.shape), "epsilon": float(self.epsilon)}
 
+    def check(self, world: Trials | Steps, task: Task, run: Run) -> None:
+        """Raise :class:`TaskliftError` for a world of whole trials, or a run without a budget."""
+        if not isinstance(world, Steps):
+            raise TaskliftError("the world runs whole trials only; a learner by value must meet it by steps")
+        if run.trials is None and run.steps is None:
+            raise TaskliftError("has no budget; give trials= or steps=")
 
-@dataclass(frozen=True)
-class ValueCurve:
-    """A learned policy of values, and the outcome of every trial on the way to it."""
+    def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
+        """Learn trial after trial; see :class:`.Learner`. The outcomes are :class:`.StepOutcomes`.
 
-    policy: Policy
-    outcomes: StepOutcomes
+        Parameters
+        ----------
+        world
+            A :class:`~tasklift.learning.model.Model` runs compiled; any other world runs at the speed of Python.
+
+        Raises
+        ------
+        TaskliftError
+            For a policy of weights, or as :meth:`check` does.
+        """
+        self.check(world, policy.task, run)
+        assert isinstance(world, Steps)
+        if policy.kind != "value":
+            raise TaskliftError("expected a policy of values, found one of weights; start from scratch")
+        carried = self.carried(policy.task) | dict(policy.carried)
+        values, visits = policy.weights.copy(), np.array(carried["visits"])
+        epsilon = float(carried["epsilon"])
+        one_trial = _trial_of(world, policy.task, values, visits, self)
+
+        def trial(rng: np.random.Generator) -> Record:
+            nonlocal epsilon
+            record = one_trial(rng, epsilon, True)
+            epsilon = max(self.epsilon_least, epsilon * self.epsilon_decay)
+            return record
+
+        outcomes = outcomes_of(run.play(trial), world.limit)
+        told = provenance(self.rule, self, policy, run, outcomes)
+        kept = carried | {"visits": visits, "epsilon": epsilon}
+        return Curve(replace(policy, weights=values, provenance=told, carried=kept), outcomes)
+
+    def count_as(self, policy: Policy, trust: float) -> Policy:
+        """Return the policy with ``trust`` visits in place of those of each entry that was ever visited.
+
+        Raises
+        ------
+        TaskliftError
+            If step sizes do not fall with visits (``step_power`` 0).
+        """
+        if self.step_power == 0:
+            raise TaskliftError("trust: needs step sizes that fall with visits; give the learner a step_power")
+        visits = np.where(np.asarray(policy.carried["visits"]) > 0, float(trust), 0.0)
+        return replace(policy, carried=dict(policy.carried) | {"visits": visits})
 
 
 def learn_values(
@@ -108,84 +152,70 @@ def learn_values(
     policy: Policy | None = None,
     *,
     task: Task | None = None,
-    trials: int | None = None,
-    steps: int | None = None,
-    seed: int = 0,
-    stage: int = TARGET_STAGE,
-    first_trial: int = 0,
     learning: ValueLearning = ValueLearning(),
-    max_losses: int | None = None,
-) -> ValueCurve:
-    """Learn values, trial after trial, from a given policy or from scratch.
+    **run: Any,
+) -> Curve:
+    """Learn values, from a given policy or from scratch: the short form of :class:`ValueLearning` with a run.
 
     Parameters
     ----------
     world
-        A :class:`~tasklift.learning.model.Model` runs compiled; any other world runs at the speed of Python.
+        A world that is met step by step.
     policy
-        Where to start; it is not changed, and what it carries is gone on with. Default: ``learning.start``.
+        Where to start; it is not changed, and what it carries goes on. Default: ``learning.start``.
     task
-        What to learn when there is no policy: the world's task, or a simplification of it.
-    trials, steps
-        The budget, one or both: how many trials; no trial begins once so many steps are done.
-    max_losses
-        No trial begins once this many losses are reached.
+        What to learn when there is no policy: the world's task (the default), or a simplification of it.
+    learning
+        The learner.
+    **run
+        The fields of :class:`.Run`: ``trials`` or ``steps`` or both, ``seed``, ``stage``, ``first_trial``,
+        ``max_losses``.
+
+    Raises
+    ------
+    TaskliftError
+        For a policy of weights, a missing budget, or a number out of range.
     """
-    if trials is None and steps is None:
-        raise TaskliftError("learn_values: give a budget, trials= or steps=")
-    for name, value in (("trials", trials), ("steps", steps), ("seed", seed), ("first_trial", first_trial)):
-        if value is not None:
-            whole_number(value, f"learn_values, {name}", at_least=0)
-    if max_losses is not None:
-        whole_number(max_losses, "learn_values, max_losses", at_least=1)
-    start = policy or learning.start(task or world.task)
-    if start.kind != "value":
-        raise TaskliftError("learn_values: expected a policy of values, found one of weights; start from scratch")
-    carried = learning.carried(start.task) | dict(start.carried)
-    values, visits = start.weights.copy(), np.array(carried["visits"])
-    epsilon = float(carried["epsilon"])
-    one_trial = _trial_of(world, start.task, values, visits, learning)
-    records: list[Record] = []
-    chances = Chances(seed, stage)
-    walked = lost = 0
-    while trials is None or len(records) < trials:
-        if (steps is not None and walked >= steps) or (max_losses is not None and lost >= max_losses):
-            break
-        records.append(one_trial(chances.of(first_trial + len(records)), epsilon, True))
-        walked, lost = walked + records[-1][0], lost + records[-1][2]
-        epsilon = max(learning.epsilon_least, epsilon * learning.epsilon_decay)
-    outcomes = outcomes_of(records, world.limit)
-    provenance = {
-        "learned_by": learning.rule,
-        "tasklift": tasklift.__version__,
-        "task": start.task.name,
-        "seed": seed,
-        "stage": stage,
-        "first_trial": first_trial,
-        "max_losses": max_losses,
-        "learning": asdict(learning),
-        "outcomes": outcomes.summary(),
-        "before": dict(start.provenance),
-    }
-    kept = carried | {"visits": visits, "epsilon": epsilon}
-    return ValueCurve(Policy(start.task, values, provenance, "value", kept), outcomes)
+    return learning.learn(world, policy or learning.start(task or world.task), Run(**run))
 
 
 def evaluate(
-    world: Steps,
+    world: Trials | Steps,
     policy: Policy,
     *,
     trials: int = 100,
-    seed: int = 0,
-    stage: int = GREEDY_STAGE,
     epsilon: float = 0.0,
-) -> StepOutcomes:
-    """Run trials with the heaviest output (of values or of weights), ties at random, and learn nothing."""
-    whole_number(trials, "evaluate, trials", at_least=1)
+    stage: int = GREEDY_STAGE,
+    **run: Any,
+) -> Outcomes:
+    """Run trials with the heaviest output (of values or of weights), ties at random, and learn nothing.
+
+    Parameters
+    ----------
+    world
+        Any world; one that is met step by step gives :class:`.StepOutcomes`.
+    policy
+        Of the world's task, or of a simplification of it.
+    trials
+        How many to run.
+    epsilon
+        Probability of a uniformly random output in place of the heaviest; on worlds met step by step only.
+    stage, **run
+        The other fields of :class:`.Run`: ``seed``, ``first_trial``, ``steps``, ``max_losses``.
+
+    Raises
+    ------
+    TaskliftError
+        If a number is out of range, or the world shows an input that the policy's task leaves out.
+    """
+    asked = Run(trials=trials, stage=stage, **run)
+    if not isinstance(world, Steps):
+        if epsilon:
+            raise TaskliftError(f"evaluate, epsilon: a world of whole trials has no random outputs, found {epsilon}")
+        return Fixed().learn(world, policy, asked).outcomes
     values, visits = policy.weights.copy(), np.zeros(policy.task.shape)
     one_trial = _trial_of(world, policy.task, values, visits, ValueLearning())
-    chances = Chances(seed, stage)
-    return outcomes_of([one_trial(chances.of(i), epsilon, False) for i in range(trials)], world.limit)
+    return outcomes_of(asked.play(lambda rng: one_trial(rng, epsilon, False)), world.limit)
 
 
 def _trial_of(

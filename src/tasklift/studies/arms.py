@@ -10,7 +10,9 @@ import numpy as np
 from tasklift.building.mission import Mission
 from tasklift.building.search import ENEMY_FEATURE, search_only
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import Curve, Reinforcement, sweep_curve
+from tasklift.learning.chances import SWEEP_STAGE
+from tasklift.learning.learner import Curve, Run
+from tasklift.learning.reinforcement import Reinforcement, Sweep
 from tasklift.tasks.policy import Policy, swap
 from tasklift.tasks.task import Task
 
@@ -121,13 +123,8 @@ def expert(task: Task) -> Policy:
 
 def learn_source(mission: Mission, *, repeats: int, seed: int, reinforcement: Reinforcement) -> Curve:
     """Learn the simple task V on the mission without hostiles: every output for ``repeats`` whole trials."""
-    return sweep_curve(
-        mission.without_hostiles(),
-        search_only(mission.task),
-        repeats=repeats,
-        seed=seed,
-        reinforcement=reinforcement,
-    )
+    learner, task = Sweep(reinforcement, repeats), search_only(mission.task)
+    return learner.learn(mission.without_hostiles(), learner.start(task), Run(seed, SWEEP_STAGE))
 
 
 def start_policy(start: Start, task: Task, source: Policy | None, initial_weight: float) -> Policy:

@@ -48,9 +48,11 @@ from tasklift.envs.gymnasium import Event, Factored
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, parse_json, parse_toml, read_text, write_atomically
 from tasklift.learning.compare import Comparison, compare
-from tasklift.learning.curriculum import Curriculum, Stage
+from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.guard import Guard
-from tasklift.learning.reinforcement import Reinforcement
+from tasklift.learning.learner import Learner
+from tasklift.learning.reinforcement import Reinforcement, Sweep
+from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning
 from tasklift.tasks.prior import Prior, invert, scale, set_weight, swap
 from tasklift.tasks.task import LARGEST_TABLE, Signal, Task, Variable
@@ -116,7 +118,7 @@ def curriculum_of(document: Mapping[str, Any], folder: str | os.PathLike[str] = 
             if "signals" in changes:
                 changes["signals"] = [_signal(s, where) for s in changes["signals"]]
             after = base.simplify(name=data["name"], **changes) if changes else base
-            learner = _learner({**document.get("learner", {}), **data.get("learner", {})}, where)
+            learner = _learner({**document.get("learner", {}), **data.get("learner", {})}, data.get("repeats"), where)
             kept = {n: data[n] for n in _STAGE_NUMBERS if n in data}
             guard = None if "guard" not in data else _made(Guard, data["guard"], f"{where}, guard")
             prior = tuple(_prior(p, where) for p in data.get("prior", []))
@@ -185,7 +187,7 @@ def _prepared(folder: Path, identity: str) -> Path:
 
 # -- the parts -------------------------------------------------------------------------------------------------
 
-_STAGE_NUMBERS = ("trials", "steps", "repeats", "trust", "keep_exploration", "max_losses", "rehearsal", "key")
+_STAGE_NUMBERS = ("trials", "steps", "trust", "keep_exploration", "max_losses", "rehearsal", "key")
 
 
 def _stage_fields() -> dict[str, Any]:
@@ -221,10 +223,13 @@ def _made(kind: Any, data: Mapping[str, Any], where: str) -> Any:
     return kind(**data)
 
 
-def _learner(data: Mapping[str, Any], where: str) -> Reinforcement | ValueLearning:
+def _learner(data: Mapping[str, Any], repeats: int | None, where: str) -> Learner:
     if data.get("rule", "reinforcement") == "reinforcement":
         rest = {name: value for name, value in data.items() if name != "rule"}
-        return _made(Reinforcement, rest, f"{where}, learner")
+        found = _made(Reinforcement, rest, f"{where}, learner")
+        return found if repeats is None else Sweep(found, repeats)
+    if repeats is not None:
+        raise TaskliftError(f"{where}: a sweep reinforces weights; a learner by value needs trials= or steps=")
     return _made(ValueLearning, data, f"{where}, learner")
 
 

@@ -20,15 +20,9 @@ from tasklift.building.simulator import SearchOutcomes
 from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec, grid
-from tasklift.learning.reinforcement import (
-    BUDGET_STAGE,
-    DRILL_STAGE,
-    GREEDY_STAGE,
-    TARGET_STAGE,
-    Curve,
-    Reinforcement,
-    reinforce,
-)
+from tasklift.learning.chances import BUDGET_STAGE, DRILL_STAGE, GREEDY_STAGE, TARGET_STAGE
+from tasklift.learning.learner import Curve
+from tasklift.learning.reinforcement import Reinforcement, reinforce
 from tasklift.studies.arms import arm_named, learn_source, start_policy
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task

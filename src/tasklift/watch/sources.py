@@ -18,7 +18,8 @@ from tasklift.building.reading import Reading
 from tasklift.building.team import Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, Store
-from tasklift.learning.reinforcement import GREEDY_STAGE, TARGET_STAGE, Reinforcement
+from tasklift.learning.chances import GREEDY_STAGE, TARGET_STAGE
+from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.arms import ARMS, arm_named
 from tasklift.studies.study import Study
 from tasklift.tasks.policy import Policy

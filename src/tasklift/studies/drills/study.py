@@ -27,7 +27,10 @@ from tasklift.building.search import hostile_candidates
 from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec
-from tasklift.learning.reinforcement import DRILL_STAGE, TARGET_STAGE, Curve, Outcomes, Reinforcement, reinforce
+from tasklift.learning.chances import DRILL_STAGE, TARGET_STAGE
+from tasklift.learning.learner import Curve
+from tasklift.learning.reinforcement import Reinforcement, reinforce
+from tasklift.learning.worlds import Outcomes
 from tasklift.studies.arms import LOSS_SIGNAL, Start, learn_source, start_policy
 from tasklift.tasks.policy import Policy
 

@@ -1,0 +1,262 @@
+"""What a learner is, which trials it is asked for, and what it gives back.
+
+A stage of a curriculum is handed a learner (:class:`Learner`). The learners here and a class of a user's own are equal
+citizens: a curriculum knows the three methods below and nothing else of them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, is_dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+import tasklift
+from tasklift.errors import TaskliftError
+from tasklift.learning.chances import TARGET_STAGE, Chances
+from tasklift.learning.worlds import Outcomes, Record, Steps, Trials, joined
+from tasklift.tasks.policy import Policy
+from tasklift.tasks.task import Task
+
+
+def whole_number(value: Any, what: str, at_least: int) -> None:
+    """Refuse ``value`` unless it is a whole number of at least ``at_least``; errors name ``what``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
+        raise TaskliftError(f"{what}: expected a whole number of at least {at_least}, found {value!r}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Which trials to learn from: the random key and the budget.
+
+    Parameters
+    ----------
+    seed, stage
+        The random key, with the number of the trial.
+    first_trial
+        Number of the first trial within the stage. A run that goes on after 100 trials has 100 here.
+    trials, steps
+        The budget, one or both: how many trials; no trial begins once this many steps are done. With neither, the
+        budget is the learner's own, as a sweep's.
+    max_losses
+        No trial begins once this many losses are reached.
+
+    Raises
+    ------
+    TaskliftError
+        If a number is not whole, or too small.
+
+    Examples
+    --------
+    >>> Run(seed=3, trials=100, max_losses=20).after(trials=40, steps=900, losses=6)
+    Run(seed=3, stage=2, first_trial=40, trials=60, steps=None, max_losses=14)
+    """
+
+    seed: int = 0
+    stage: int = TARGET_STAGE
+    first_trial: int = 0
+    trials: int | None = None
+    steps: int | None = None
+    max_losses: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("seed", "stage", "first_trial"):
+            whole_number(getattr(self, name), f"run, {name}", at_least=0)
+        for name, least in (("trials", 0), ("steps", 0), ("max_losses", 1)):
+            if getattr(self, name) is not None:
+                whole_number(getattr(self, name), f"run, {name}", at_least=least)
+
+    def goes_on(self, trials: int, steps: int, losses: int) -> bool:
+        """Return whether another trial may begin after this many trials, steps and losses."""
+        limits = ((self.trials, trials), (self.steps, steps), (self.max_losses, losses))
+        return all(limit is None or done < limit for limit, done in limits)
+
+    def play(self, trial: Callable[[np.random.Generator], Record]) -> list[Record]:
+        """Run a function for each trial until the budget is used, and return what it recorded.
+
+        Parameters
+        ----------
+        trial
+            Runs one trial with the generator of that trial; returns its steps, success, losses and return.
+        """
+        records: list[Record] = []
+        chances = Chances(self.seed, self.stage)
+        steps = losses = 0
+        while self.goes_on(len(records), steps, losses):
+            records.append(trial(chances.of(self.first_trial + len(records))))
+            steps, losses = steps + records[-1][0], losses + records[-1][2]
+        return records
+
+    def after(self, trials: int, steps: int, losses: int) -> Run:
+        """Return the rest of a run of which this much is done; ask :meth:`goes_on` before."""
+        return replace(
+            self,
+            first_trial=self.first_trial + trials,
+            trials=None if self.trials is None else self.trials - trials,
+            steps=None if self.steps is None else self.steps - steps,
+            max_losses=None if self.max_losses is None else self.max_losses - losses,
+        )
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A learned policy, and the outcome of every trial on the way to it."""
+
+    policy: Policy
+    outcomes: Outcomes
+
+
+class Learner(Protocol):
+    """A way to learn. ``examples/own_learner.py`` has one in 30 lines; :func:`tasklift.testing.check_learner` tests it.
+
+    Two optional members say what a learner cannot do. ``check(world, task, run)`` raises :class:`TaskliftError` for
+    what it cannot learn; a curriculum asks it before anything is trained. ``divisible = False``: a run that is cut
+    into shorter ones may come out differently, so a curriculum runs each stage in one piece.
+    """
+
+    def start(self, task: Task) -> Policy:
+        """Return the policy that learning from scratch starts with."""
+        ...
+
+    def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
+        """Learn from the trials of ``run``, beginning with ``policy``, which is not changed.
+
+        Trial ``i`` of the run is number ``run.first_trial + i`` of its stage. All its random numbers are keyed by
+        that number, the seed and the stage (:class:`~tasklift.learning.chances.Chances`), so that the same run gives
+        the same curve. What a learner must remember from run to run is in :attr:`.Policy.carried`.
+        """
+        ...
+
+    def count_as(self, policy: Policy, trust: float) -> Policy:
+        """Return the policy with the experience copied into it counted as ``trust`` (above 0) says.
+
+        Raises
+        ------
+        TaskliftError
+            If this learner cannot weigh experience.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class InTurn:
+    """Learners one after another within a stage, by the number of the trial.
+
+    Parameters
+    ----------
+    learners
+        At least one; all learn the same kind of policy.
+    starts
+        The trial with which each begins, counted from 0; the first one is 0.
+
+    Raises
+    ------
+    TaskliftError
+        If there is not one start per learner, or they do not grow from 0.
+
+    Examples
+    --------
+    Exploration for 100 trials, then mostly the best output:
+
+    >>> from tasklift import InTurn, Reinforcement
+    >>> bold, careful = Reinforcement(), Reinforcement(selection="pseudo-random", q=0.9)
+    >>> learner = InTurn((bold, careful), (0, 100))
+    """
+
+    learners: tuple[Learner, ...]
+    starts: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "learners", tuple(self.learners))
+        object.__setattr__(self, "starts", tuple(self.starts))
+        ordered = all(a < b for a, b in zip(self.starts, self.starts[1:], strict=False))
+        if not self.learners or len(self.learners) != len(self.starts) or self.starts[0] != 0 or not ordered:
+            raise TaskliftError(
+                f"learners in turn: expected one start per learner, growing from 0, found {len(self.learners)} "
+                f"learners and the starts {list(self.starts)}"
+            )
+
+    @property
+    def divisible(self) -> bool:
+        """Whether all the learners are."""
+        return all(divisible(learner) for learner in self.learners)
+
+    def check(self, world: Trials | Steps, task: Task, run: Run) -> None:
+        """Raise :class:`TaskliftError` for what one of the learners cannot learn."""
+        if run.trials is None and run.steps is None:
+            raise TaskliftError("learners in turn: have no budget of their own; give trials= or steps=")
+        for learner in self.learners:
+            check(learner, world, task, run)
+
+    def start(self, task: Task) -> Policy:
+        """Return the first learner's start."""
+        return self.learners[0].start(task)
+
+    def count_as(self, policy: Policy, trust: float) -> Policy:
+        """Return the policy as the first learner counts it."""
+        return self.learners[0].count_as(policy, trust)
+
+    def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
+        """Learn from the trials of ``run``, each by the learner whose turn it is."""
+        self.check(world, policy.task, run)
+        parts: list[Outcomes] = []
+        ends = [*self.starts[1:], None]
+        for learner, end in zip(self.learners, ends, strict=True):
+            left = run if not parts else run.after(*totals(parts))
+            if end is not None:
+                turn = end - left.first_trial
+                if turn <= 0:
+                    continue
+                left = replace(left, trials=turn if left.trials is None else min(turn, left.trials))
+            curve = learner.learn(world, policy, left)
+            policy = curve.policy
+            parts.append(curve.outcomes)
+            if not run.goes_on(*totals(parts)):
+                break
+        return Curve(policy, joined(parts))
+
+
+def totals(parts: Sequence[Outcomes]) -> tuple[int, int, int]:
+    """Return the trials, steps and losses of consecutive parts together."""
+    return (
+        sum(len(part) for part in parts),
+        sum(int(part.steps.sum()) for part in parts),
+        sum(int(part.losses.sum()) for part in parts),
+    )
+
+
+def divisible(learner: Learner) -> bool:
+    """Return whether a run by this learner may be cut into shorter ones: yes, unless it says no."""
+    return bool(getattr(learner, "divisible", True))
+
+
+def check(learner: Learner, world: Trials | Steps, task: Task, run: Run) -> None:
+    """Let a learner that has a ``check`` refuse what it cannot learn, before anything is trained."""
+    refuse = getattr(learner, "check", None)
+    if refuse is not None:
+        refuse(world, task, run)
+
+
+def settings_of(learner: Learner) -> dict[str, Any]:
+    """Return a learner's settings as JSON data, for the provenance of what it learns: a dataclass's fields."""
+    found: dict[str, Any] = asdict(learner) if is_dataclass(learner) and not isinstance(learner, type) else {}
+    try:
+        json.dumps(found)
+    except (TypeError, ValueError):
+        return {name: repr(value) for name, value in found.items()}
+    return found
+
+
+def provenance(learned_by: str, learner: Learner, policy: Policy, run: Run, outcomes: Outcomes) -> dict[str, Any]:
+    """Return the provenance of what ``learner`` made of ``policy`` in a run."""
+    return {
+        "learned_by": learned_by,
+        "tasklift": tasklift.__version__,
+        "task": policy.task.name,
+        **asdict(run),
+        "settings": settings_of(learner),
+        "outcomes": outcomes.summary(),
+        "before": dict(policy.provenance),
+    }

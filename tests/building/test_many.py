@@ -12,7 +12,8 @@ from strategies import missions, reinforcements
 from tasklift.building import Mission, generate
 from tasklift.building.search import search_only
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import GREEDY_STAGE, Reinforcement
+from tasklift.learning.chances import GREEDY_STAGE
+from tasklift.learning.reinforcement import Reinforcement
 
 FIELDS = ("steps", "success", "losses", "robots_left", "teams_left", "hostiles_left", "explored", "messages")
 

@@ -268,7 +268,7 @@ def test_a_world_outside_of_the_task_is_refused() -> None:
         (lambda m: ValueLearning(discount=1.5), "discount: expected 0.0 to 1.0"),
         (lambda m: ValueLearning(epsilon=-0.1), "epsilon: expected 0.0 to 1.0"),
         (lambda m: ValueLearning(temperature=float("nan")), "temperature: expected finite"),
-        (lambda m: learn_values(m), "give a budget"),
+        (lambda m: learn_values(m), "has no budget"),
         (
             lambda m: learn_values(m, trials=5, max_losses=0),
             "max_losses: expected a whole number of at least 1",

@@ -60,7 +60,7 @@ def test_the_building_example_is_the_papers_experiment() -> None:
     v, t = curriculum.stages
     assert (v.task.shape, t.task.shape) == ((15, 44), (90, 44))
     assert v.world.n_hostiles == 0
-    assert (v.repeats, t.trials, t.max_losses) == (5, 100, 600)
+    assert (v.learner.repeats, t.trials, t.max_losses) == (5, 100, 600)
     assert np.unique(v.task.signal_table(impossible=False)).tolist() == [-0.2, 0.0]
     drill = curriculum_of(read_spec(EXAMPLES / "drill.toml")).stages[0]
     assert drill.rehearsal

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from tasklift.building.setting import Setting
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import GREEDY_STAGE, Reinforcement
+from tasklift.learning.chances import GREEDY_STAGE
+from tasklift.learning.reinforcement import Reinforcement
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 from tasklift.text import shown

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.building.setting import Setting
-from tasklift.learning.reinforcement import Outcomes
+from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.task import Task
 
 

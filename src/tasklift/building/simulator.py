@@ -21,7 +21,6 @@ from tasklift.checks import LARGEST_WHOLE, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
-from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.task import Task
 from tasklift.text import shown
 

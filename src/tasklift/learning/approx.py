@@ -19,9 +19,9 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import GREEDY_STAGE, Chances
-from tasklift.learning.learner import whole_number
 from tasklift.learning.worlds import StepOutcomes, Steps, View, outcomes_of
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy, Prior, spread
@@ -181,7 +181,7 @@ def play(
     world: Steps, approximation: Approximation, *, trials: int = 100, seed: int = 0, stage: int = GREEDY_STAGE
 ) -> StepOutcomes:
     """Run trials with the best output at every step, ties at random, and learn nothing."""
-    whole_number(trials, "play, trials", at_least=1)
+    whole_number(trials, "play, trials", least=1)
     collector = _Collector(world, approximation.task)
     chances = Chances(seed, stage)
     for i in range(trials):
@@ -236,7 +236,7 @@ def learn_approximate(
         A tree's leaf holds at least so many experiences.
     """
     for name, value in (("rounds", rounds), ("trials", trials), ("sweeps", sweeps), ("leaf", leaf)):
-        whole_number(value, f"learn_approximate, {name}", at_least=1)
+        whole_number(value, f"learn_approximate, {name}", least=1)
     if kind not in get_args(Kind):
         raise TaskliftError(f"learn_approximate: expected 'tree' or 'network', found {kind!r}")
     whole = start.task if start is not None else task or world.task
@@ -355,7 +355,7 @@ class _Tree:
 
     def __init__(self, positions: Positions, rows: Floats, max_leaves: int | None, leaf: int) -> None:
         if max_leaves is not None:
-            whole_number(max_leaves, "tree, max_leaves", at_least=2)
+            whole_number(max_leaves, "tree, max_leaves", least=2)
         tree = _sklearn("tree").DecisionTreeRegressor(max_leaf_nodes=max_leaves, min_samples_leaf=leaf, random_state=0)
         self.tree = tree.fit(self._features(positions), rows)
         self.outputs = rows.shape[1]

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift import stats
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.curriculum import Curriculum, CurriculumRun
-from tasklift.learning.learner import whole_number
 from tasklift.learning.ledger import Ledger
 from tasklift.learning.stage import Stage
 from tasklift.learning.worlds import Outcomes
@@ -155,9 +155,9 @@ def compare(
     The direct learner has no cap and no guard. Losses on the target include the guard's control; late performance is
     that of the learner whose policy counts in the end. Rehearsals' would-be losses are left out.
     """
-    whole_number(seeds, "compare, seeds", at_least=2)
-    whole_number(first, "compare, first", at_least=1)
-    whole_number(last, "compare, last", at_least=1)
+    whole_number(seeds, "compare, seeds", least=2)
+    whole_number(first, "compare, first", least=1)
+    whole_number(last, "compare, last", least=1)
     curriculum.check()
     target = replace(curriculum.stages[-1], prior=(), trust=None, initial=None, guard=None, max_losses=None)
     runs: list[CurriculumRun] = []

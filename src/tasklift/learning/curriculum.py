@@ -10,10 +10,10 @@ from collections.abc import Hashable, MutableMapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.guard import GuardReport
-from tasklift.learning.learner import whole_number
 from tasklift.learning.ledger import Ledger
 from tasklift.learning.stage import Stage, StageRun
 from tasklift.learning.worlds import Outcomes
@@ -91,7 +91,7 @@ class Curriculum:
             raise TaskliftError(f"curriculum: two stages have the same name in {names}")
         for name in ("block", "max_losses"):
             if getattr(self, name) is not None:
-                whole_number(getattr(self, name), f"curriculum, {name}", at_least=1)
+                whole_number(getattr(self, name), f"curriculum, {name}", least=1)
         unknown = [name for name in self.best_by if name not in ("losses", "success", "steps", "return")]
         if unknown or not self.best_by:
             raise TaskliftError(f"curriculum, best_by: expected losses, success, steps or return, found {unknown}")
@@ -138,7 +138,7 @@ class Curriculum:
             For whatever :meth:`check` finds, before anything is trained.
         """
         self.check()
-        whole_number(seed, "curriculum, seed", at_least=0)
+        whole_number(seed, "curriculum, seed", least=0)
         found = self._upto(len(self.stages), seed, initial, shared)
         assert found is not None
         return found
@@ -170,8 +170,8 @@ class Curriculum:
             If there is no such stage, or it ends before that trial.
         """
         self.check()
-        whole_number(seed, "curriculum, seed", at_least=0)
-        whole_number(trial, "curriculum, trial", at_least=0)
+        whole_number(seed, "curriculum, seed", least=0)
+        whole_number(trial, "curriculum, trial", least=0)
         names = [s.name for s in self.stages]
         if stage not in names:
             raise TaskliftError(f"curriculum: no stage {stage!r}; there are {', '.join(names)}")

@@ -20,8 +20,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
-from tasklift.learning.learner import whole_number
 from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.variable import plain_number
 
@@ -110,7 +110,7 @@ class Guard:
         if self.bound is not None and not plain_number(self.bound, "guard, bound") > 0:
             raise TaskliftError(f"guard, bound: expected a number above 0, found {self.bound}")
         if self.window is not None:
-            whole_number(self.window, "guard, window", at_least=1)
+            whole_number(self.window, "guard, window", least=1)
             if self.measure == "steps":
                 raise TaskliftError("guard, window: windows have equally many steps; measure something else")
         SequentialTest(self.alpha)

@@ -14,17 +14,12 @@ from typing import Any, Protocol
 import numpy as np
 
 import tasklift
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import TARGET_STAGE, Chances
 from tasklift.learning.worlds import Outcomes, Record, Steps, Trials, joined
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
-
-
-def whole_number(value: Any, what: str, at_least: int) -> None:
-    """Refuse ``value`` unless it is a whole number of at least ``at_least``; errors name ``what``."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
-        raise TaskliftError(f"{what}: expected a whole number of at least {at_least}, found {value!r}")
 
 
 @dataclass(frozen=True)
@@ -63,10 +58,10 @@ class Run:
 
     def __post_init__(self) -> None:
         for name in ("seed", "stage", "first_trial"):
-            whole_number(getattr(self, name), f"run, {name}", at_least=0)
+            whole_number(getattr(self, name), f"run, {name}", least=0)
         for name, least in (("trials", 0), ("steps", 0), ("max_losses", 1)):
             if getattr(self, name) is not None:
-                whole_number(getattr(self, name), f"run, {name}", at_least=least)
+                whole_number(getattr(self, name), f"run, {name}", least=least)
 
     def goes_on(self, trials: int, steps: int, losses: int) -> bool:
         """Return whether another trial may begin after this many trials, steps and losses."""

@@ -16,9 +16,10 @@ from typing import Any, Literal, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, Chances
-from tasklift.learning.learner import Curve, Run, provenance, whole_number
+from tasklift.learning.learner import Curve, Run, provenance
 from tasklift.learning.worlds import Outcomes, Record, StepOutcomes, Steps, Trials, View, joined, outcomes_of
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy
@@ -158,7 +159,7 @@ class Sweep:
     repeats: int = 5
 
     def __post_init__(self) -> None:
-        whole_number(self.repeats, "sweep, repeats", at_least=1)
+        whole_number(self.repeats, "sweep, repeats", least=1)
 
     def trials(self, task: Task) -> int:
         """Return how many trials the sweep of a task takes."""

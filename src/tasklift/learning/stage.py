@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
 from tasklift.learning.guard import Guard, GuardReport, SequentialTest
-from tasklift.learning.learner import Learner, Run, check, divisible, settings_of, whole_number
+from tasklift.learning.learner import Learner, Run, check, divisible, settings_of
 from tasklift.learning.ledger import Entry
 from tasklift.learning.worlds import Outcomes, Steps, Trials, joined
 from tasklift.tasks.policy import Policy, Prior
@@ -91,7 +92,7 @@ class Stage:
         where = f"stage {self.name!r}"
         for name, least in (("trials", 1), ("steps", 1), ("max_losses", 1), ("key", 0)):
             if getattr(self, name) is not None:
-                whole_number(getattr(self, name), f"{where}, {name}", at_least=least)
+                whole_number(getattr(self, name), f"{where}, {name}", least=least)
         if self.own_budget and self.guard is not None:
             raise TaskliftError(f"{where}: a guard needs a share of a budget; give trials= or steps=")
         if self.rehearsal and self.max_losses is not None:

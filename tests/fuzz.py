@@ -1,0 +1,357 @@
+"""Mutation fuzzing of everything that reads a file: damaged, hostile or absurd input ends in one clear line.
+
+Input number ``i`` of a reader is a function of its name, ``i`` and the samples, so a failure is repeated by its
+number. Bytes are damaged, and where a sample is JSON its values are exchanged as well. An input must be read, or
+refused by a :class:`TaskliftError` in one line of at most 300 characters that names the file, within 5 seconds and
+1 GB. What is read is used, as later commands use it.
+
+    python tests/fuzz.py --runs 100000            # every reader
+    python tests/fuzz.py policy --only 4711       # one input again
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import random
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tasklift.errors import TaskliftError
+
+LONGEST_LINE, LONGEST_S, LARGEST_B = 300, 5.0, 1_000_000_000
+
+TOKENS = (
+    b"", b"0", b"-1", b"1", b"2", b"1e400", b"-1e400", b"1e-320", b"NaN", b"Infinity", b"nan", b"inf", b"null", b"true",
+    b"9" * 30, b"7" * 5000, b"0.1", b"-0.0", b"1e308", b"9223372036854775808", b"18446744073709551616", b"2147483648",
+    b'""', b'"\\ud800"', b'"\\u0000"', b'"\\u001b[2J"', b'"a\\nb"', b"\xff", b"\x00", b"\xed\xa0\x80", b"\xef\xbb\xbf",
+    b"\xc2\xb2", b"[" * 300, b"[" * 100_000, b"{}", b"[]", b"]", b"}", b",", b":", b"\n", b"\r\n", b"\x1b[31m", b"'", b'"',
+    b"[[", b"]]", b"=", b"#", b"a.b.c = 1", b".", b"..", b"/dev/zero", b"\\", b"$\\frac$", b"2026-01-01", b"&a", b"*a",
+)  # fmt: skip
+
+VALUES: tuple[Any, ...] = (
+    None, True, False, 0, -1, 1, 2, 3, 7, 0.5, -0.5, 1e308, -1e308, 1e-320, 5e-324, 1e30, 10**30, 2**53, 2**63 - 1, 2**63,
+    10**12, 10**6, 10**5, 10**4, 1000, 100, float("inf"), float("nan"), "", "a", "²", "x" * 1000, "a\nb", "\x1b[2J", "\x00",
+    "\ud800", "\u202e", "$\\frac{$", "../../x", "/dev/zero", "1", "10+5", "²+5", "-0", [], {}, [[]], [1, 2], [0.5, "a"],
+    {"a": 1}, {"": None}, ["a", "a"], [None], [1] * 1000, [[0, 0]] * 100,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Reader:
+    """What is fuzzed: sample files by name, how one is read, and what is done with what was read."""
+
+    samples: Callable[[], dict[str, bytes]]
+    read: Callable[[Path], Any]
+    use: Callable[[Any, Path], None] = lambda read, path: None
+    tidy: Callable[[Any], Any] = lambda document: document
+
+
+# -- mutation ----------------------------------------------------------------------------------------------
+
+
+def mutated(rng: random.Random, sample: bytes, tidy: Callable[[Any], Any] = lambda document: document) -> bytes:
+    """Return a sample with one to four changes, of its bytes or of its JSON values."""
+    if sample[:1] in (b"{", b"[") and rng.random() < 0.6:
+        document = json.loads(sample)
+        for _ in range(rng.choice((1, 1, 1, 2, 3))):
+            _exchange(rng, document)
+        text = json.dumps(tidy(document), ensure_ascii=rng.random() < 0.5)
+        return text.encode("utf-8", "surrogatepass")
+    data = bytearray(sample)
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        _damage(rng, data)
+    return bytes(data)
+
+
+def _damage(rng: random.Random, data: bytearray) -> None:
+    at = rng.randrange(len(data) + 1)
+    end = min(len(data), at + rng.choice((1, 1, 2, 5, 20, 200)))
+    kind = rng.randrange(8)
+    if kind == 0 and at < len(data):
+        data[at] ^= 1 << rng.randrange(8)
+    elif kind == 1 and at < len(data):
+        data[at] = rng.randrange(256)
+    elif kind == 2:
+        del data[at:end]
+    elif kind == 3:
+        data[at:at] = data[at:end]
+    elif kind == 4:
+        del data[at:]
+    elif kind == 5:  # a token in the place of a number or a word
+        stop = at
+        while stop < len(data) and (chr(data[stop]).isalnum() or data[stop] in b"+-."):
+            stop += 1
+        while at and (chr(data[at - 1]).isalnum() or data[at - 1] in b"+-."):
+            at -= 1
+        data[at:stop] = rng.choice(TOKENS)
+    elif kind == 6:
+        data[at:at] = rng.choice(TOKENS)
+    else:  # lines change places
+        lines = data.split(b"\n")
+        i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+        lines[i], lines[j] = lines[j], lines[i]
+        data[:] = b"\n".join(lines)
+
+
+def _exchange(rng: random.Random, document: Any) -> None:
+    """Change one place within a JSON document: another value, one from elsewhere, none, one more."""
+    places = list(_places(document))
+    if not places:
+        return
+    holder, key = rng.choice(places)
+    kind = rng.randrange(8)
+    if kind < 4:
+        holder[key] = json.loads(json.dumps(rng.choice(VALUES)))
+    elif kind == 4:
+        other, its = rng.choice(places)
+        try:
+            holder[key] = json.loads(json.dumps(other[its]))
+        except (KeyError, IndexError):
+            return
+    elif kind == 5:
+        del holder[key]
+    elif kind == 6 and isinstance(holder[key], int | float) and not isinstance(holder[key], bool):
+        holder[key] = rng.choice((-holder[key], holder[key] * 10**6, holder[key] + 1, holder[key] / 3, int(holder[key])))
+    elif isinstance(holder, list):
+        holder.insert(rng.randrange(len(holder) + 1), json.loads(json.dumps(holder[key])))
+    else:
+        holder[rng.choice((str(key).upper(), "", f"{key} ", "zz"))] = holder[key]
+
+
+def _places(value: Any) -> Iterator[tuple[Any, Any]]:
+    keys = list(value) if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+    for key in keys:
+        yield value, key
+        yield from _places(value[key])
+
+
+# -- the harness -------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Figures:
+    """What a run found."""
+
+    read: int = 0
+    refused: int = 0
+    slowest_s: float = 0.0
+    longest: int = 0
+
+    def __str__(self) -> str:
+        return (
+            f"{self.read + self.refused:,} inputs, {self.read:,} read and used, {self.refused:,} refused, slowest "
+            f"{self.slowest_s:.2f} s, longest message {self.longest} characters"
+        )
+
+
+def fuzz(name: str, reader: Reader, folder: Path, runs: range) -> Figures:
+    """Give a reader the inputs of these numbers; an ``AssertionError`` names the first that breaks a promise."""
+    figures, samples = Figures(), reader.samples()
+    names = sorted(samples)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for number in runs:
+        rng = random.Random(int.from_bytes(hashlib.sha256(f"{name} {number}".encode()).digest()[:8], "big"))
+        for other in names:
+            (folder / other).write_bytes(samples[other])
+        chosen = rng.choice(names)
+        path = folder / chosen
+        path.write_bytes(mutated(rng, samples[chosen], reader.tidy))
+        start = time.perf_counter()
+        try:
+            try:
+                found = reader.read(folder / names[0] if len(names) > 1 and chosen.startswith("beside") else path)
+            except TaskliftError as error:
+                line = str(error)
+                assert path.name in line, f"does not name {path.name}: {line}"
+                assert len(line) <= LONGEST_LINE, f"{len(line)} characters: {line}"
+                assert "\n" not in line, f"more than one line: {line!r}"
+                assert line.isprintable() or all(c.isprintable() or c in "\u2009\u00a0" for c in line), repr(line)
+                figures.refused += 1
+                figures.longest = max(figures.longest, len(line))
+            else:
+                figures.read += 1
+                reader.use(found, path)
+            taken = time.perf_counter() - start
+            assert taken <= LONGEST_S, f"{taken:.1f} s"
+            figures.slowest_s = max(figures.slowest_s, taken)
+            grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+            assert grown <= LARGEST_B, f"{grown:,} bytes of memory"
+        except BaseException as error:
+            kept = Path(tempfile.gettempdir()) / f"fuzz-{name}-{number}{path.suffix}"
+            kept.write_bytes(path.read_bytes())
+            raise AssertionError(
+                f"{name}: input {number}, kept as {kept}: {type(error).__name__}: {error!s:.200}"
+            ) from error
+    return figures
+
+
+# -- what is fuzzed ----------------------------------------------------------------------------------------
+
+
+def _policies() -> dict[str, bytes]:
+    import numpy as np
+
+    from tasklift.building.search import search_and_clear
+    from tasklift.tasks.policy import Policy
+
+    task = search_and_clear()
+    safe = task.simplify(fix={"DL": 0, "GL": 0}, restrict={"CA": [0.0, 0.5, 1.0]})
+    table = np.arange(safe.shape[0] * safe.shape[1], dtype=float).reshape(safe.shape)
+    policy = Policy(safe, table, {"seed": 3}, "value", {"visits": table, "epsilon": 0.5})
+    return {"policy.json": _saved(policy), "other.json": _saved(Policy.equal(safe))}
+
+
+def _saved(thing: Any) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        thing.save(Path(folder) / "saved.json")
+        return (Path(folder) / "saved.json").read_bytes()
+
+
+def _without_checksum(document: Any) -> Any:
+    if isinstance(document, dict):
+        document.pop("checksum", None)
+    return document
+
+
+def _use_policy(policy: Any, path: Path) -> None:
+    from tasklift.tasks.policy import Policy
+
+    assert list(policy.describe(2))
+    assert policy.to_csv()
+    policy.save(path)
+    again = Policy.load(path)
+    assert (again.weights == policy.weights).all()
+    assert again.task == policy.task
+    policy.probabilities(0, "exploitation")
+    assert repr(policy.task.signal_table if hasattr(policy.task, "signal_table") else policy.task)
+
+
+def _buildings() -> dict[str, bytes]:
+    from tasklift.building import generate
+
+    return {"building.json": _saved(generate(intersections=4, corridors=4, rooms=2, seed=1))}
+
+
+def _use_building(building: Any, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    from tasklift.building import Building, Mission, draw
+    from tasklift.plans.check import check
+    from tasklift.tasks.policy import Policy
+    from tasklift.watch.document import replay
+    from tasklift.watch.html import page
+
+    building.save(path)
+    assert Building.load(path) == building
+    mission = Mission(building, "2+2", hostiles=0, limit=10)
+    trace = mission.simulator.trace(Policy.equal(mission.task), seed=0, trial=0)
+    assert page(replay([("equal", trace)], building.name))
+    check(building)
+    if len(path.read_bytes()) % 40 == 0:  # a drawing takes as long as fifty readings
+        figure = Figure()
+        draw.draw_graph(building, figure.subplots())
+        draw.draw_plan(building, figure.subplots())
+        figure.canvas.draw()
+
+
+def _specs() -> dict[str, bytes]:
+    examples = Path(__file__).parent.parent / "examples"
+    found = {name: (examples / name).read_bytes() for name in ("building.toml", "drill.toml")}
+    spec = {
+        "name": "j", "performance": "steps", "seeds": 4,
+        "environment": {"building": "b.json", "team": "2+2", "hostiles": 1, "limit": 20, "reading": {"patience": 3}},
+        "learner": {"rule": "reinforcement", "selection": "pseudo-random", "q": 0.5},
+        "stages": [
+            {"name": "V", "options": {"hostiles": 0}, "fix": {"DL": 0, "GL": 0}, "signals": [], "repeats": 1},
+            {"name": "T", "trials": 2, "max_losses": 9, "guard": {"measure": "losses", "share": 0.1},
+             "prior": [{"operation": "swap", "output": "MV", "when": {"FTR": 4, "nWPN": [0, 1]}}]},
+        ],
+    }  # fmt: skip
+    return found | {"spec.json": json.dumps(spec).encode()}
+
+
+def _read_spec(path: Path) -> Any:
+    from tasklift.building import generate
+    from tasklift.studies.spec_file import curriculum_of, read_spec
+
+    beside = path.parent / "b.json"
+    if not beside.exists():
+        generate(intersections=4, corridors=4, rooms=2, seed=1).save(beside)
+    document = read_spec(path)
+    return curriculum_of(document, path.parent)
+
+
+def _replays() -> dict[str, bytes]:
+    from tasklift.building import Mission, generate
+    from tasklift.files import canonical_json
+    from tasklift.tasks.policy import Policy
+    from tasklift.watch.document import replay
+
+    mission = Mission(generate(intersections=4, corridors=4, rooms=2, seed=1), "2+2", hostiles=1, limit=10)
+    trace = mission.simulator.trace(Policy.equal(mission.task), seed=0, trial=0)
+    return {"replay.json": canonical_json(replay([("equal", trace)], "title")).encode()}
+
+
+def _read_replay(path: Path) -> Any:
+    from tasklift.watch.document import read
+
+    return read(path)
+
+
+def _use_replay(document: Any, path: Path) -> None:
+    from tasklift.watch.html import page
+
+    assert page(document).encode("utf-8", errors="strict")
+
+
+def _read_policy(path: Path) -> Any:
+    from tasklift.tasks.policy import Policy
+
+    return Policy.load(path)
+
+
+def _read_building(path: Path) -> Any:
+    from tasklift.building import Building
+
+    return Building.load(path)
+
+
+READERS = {
+    "policy": Reader(_policies, _read_policy, _use_policy, _without_checksum),
+    "building": Reader(_buildings, _read_building, _use_building),
+    "spec": Reader(_specs, _read_spec),
+    "replay": Reader(_replays, _read_replay, _use_replay),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("readers", nargs="*", help=f"some of {', '.join(READERS)}; default: all")
+    parser.add_argument("--runs", type=int, default=100_000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", type=int, help="one input")
+    given = parser.parse_args()
+    runs = range(given.first, given.first + given.runs) if given.only is None else range(given.only, given.only + 1)
+    failed = False
+    for name in given.readers or READERS:
+        start = time.perf_counter()
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                print(f"{name}: {fuzz(name, READERS[name], Path(folder), runs)}", end="")
+            except AssertionError as error:
+                failed = True
+                print(error, end="")
+        print(f" ({time.perf_counter() - start:.0f} s)", flush=True)
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main()

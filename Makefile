@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 ARGS   ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo chromium test test-slow bench docs format clean
+.PHONY: help demo chromium test test-slow fuzz bench docs format clean
 
 help:  ## say what each target does
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -35,6 +35,9 @@ test: $(STAMP) chromium  ## everything CI runs: lint, types, import contracts, t
 
 test-slow: $(STAMP)  ## the tests that are slow by nature
 	$(BIN)/pytest -m slow $(ARGS)
+
+fuzz: $(STAMP)  ## give every reader 100,000 damaged files (ARGS="policy --runs 1000")
+	$(BIN)/python tests/fuzz.py $(ARGS)
 
 bench: $(STAMP)  ## measure speed; prints ratios within one run
 	for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file $(ARGS) || exit 1; done

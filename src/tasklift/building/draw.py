@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.building.graph import DOOR, FEATURE, INTERSECTION, ROOM, Building
+from tasklift.building.graph import DOOR, FEATURE, INTERSECTION, LARGEST_M, ROOM, Building
 from tasklift.errors import TaskliftError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def footprints(building: Building) -> dict[int, Any]:
     lines = shapely.linestrings(building.position_m[building.edges])
     for room in rooms.tolist():
         box = known.get(str(room)) if isinstance(known, dict) else None
-        if isinstance(box, list) and len(box) == 4 and all(isinstance(v, int | float) for v in box):
+        if _is_box(box):
             found[room] = shapely.box(*box)
             continue
         here = building.position_m[room]
@@ -59,6 +59,15 @@ def footprints(building: Building) -> dict[int, Any]:
         corners = [here + half * (i * ahead + j * aside) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         found[room] = shapely.Polygon(corners)
     return found
+
+
+def _is_box(value: Any) -> TypeGuard[list[float]]:
+    """Whether a building's provenance, where anything may stand, gives a rectangle: left, bottom, right, top (m)."""
+    if not (isinstance(value, list) and len(value) == 4):
+        return False
+    if not all(isinstance(v, int | float) and abs(v) <= LARGEST_M for v in value):
+        return False
+    return bool(value[0] < value[2] and value[1] < value[3])
 
 
 def corridor_floor(building: Building) -> Any:

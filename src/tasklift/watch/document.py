@@ -117,7 +117,9 @@ def _building(building: Building) -> dict[str, Any]:
 
 
 def _lines(shape: Any) -> list[list[list[float]]]:
-    """The polylines of a shapely geometry of lines."""
+    """The polylines of a shapely geometry of lines; the boundary of nothing is None."""
+    if shape is None:
+        return []
     return [np.asarray(line.coords).round(2).tolist() for line in getattr(shape, "geoms", [shape]) if not line.is_empty]
 
 

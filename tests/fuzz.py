@@ -35,14 +35,14 @@ TOKENS = (
     b"", b"0", b"-1", b"1", b"2", b"1e400", b"-1e400", b"1e-320", b"NaN", b"Infinity", b"nan", b"inf", b"null", b"true",
     b"9" * 30, b"7" * 5000, b"0.1", b"-0.0", b"1e308", b"9223372036854775808", b"18446744073709551616", b"2147483648",
     b'""', b'"\\ud800"', b'"\\u0000"', b'"\\u001b[2J"', b'"a\\nb"', b"\xff", b"\x00", b"\xed\xa0\x80", b"\xef\xbb\xbf",
-    b"\xc2\xb2", b"[" * 300, b"[" * 100_000, b"{}", b"[]", b"]", b"}", b",", b":", b"\n", b"\r\n", b"\x1b[31m", b"'", b'"',
-    b"[[", b"]]", b"=", b"#", b"a.b.c = 1", b".", b"..", b"/dev/zero", b"\\", b"$\\frac$", b"2026-01-01", b"&a", b"*a",
+    b"\xc2\xb2", b"[" * 300, b"[" * 100_000, b"{}", b"[]", b"]", b"}", b",", b":", b"\n", b"\r\n", b"\x1b[31m", b"'",
+    b'"', b"[[", b"]]", b"=", b"#", b"a.b.c = 1", b".", b"..", b"/dev/zero", b"\\", b"$\\frac$", b"2026-01-01", b"&a", b"*a",
 )  # fmt: skip
 
 VALUES: tuple[Any, ...] = (
-    None, True, False, 0, -1, 1, 2, 3, 7, 0.5, -0.5, 1e308, -1e308, 1e-320, 5e-324, 1e30, 10**30, 2**53, 2**63 - 1, 2**63,
-    10**12, 10**6, 10**5, 10**4, 1000, 100, float("inf"), float("nan"), "", "a", "²", "x" * 1000, "a\nb", "\x1b[2J", "\x00",
-    "\ud800", "\u202e", "$\\frac{$", "../../x", "/dev/zero", "1", "10+5", "²+5", "-0", [], {}, [[]], [1, 2], [0.5, "a"],
+    None, True, False, 0, -1, 1, 2, 3, 7, 0.5, -0.5, 1e308, -1e308, 1e-320, 5e-324, 1e30, 10**30, 2**53, 2**63 - 1,
+    2**63, 10**12, 10**6, 10**5, 10**4, 1000, 100, float("inf"), float("nan"), "", "a", "²", "x" * 1000, "a\nb", "\x1b[2J",
+    "\x00", "\ud800", "\u202e", "$\\frac{$", "../../x", "/dev/zero", "1", "10+5", "²+5", "-0", [], {}, [[]], [1, 2], [0.5, "a"],
     {"a": 1}, {"": None}, ["a", "a"], [None], [1] * 1000, [[0, 0]] * 100,
 )  # fmt: skip
 
@@ -122,7 +122,8 @@ def _exchange(rng: random.Random, document: Any) -> None:
     elif kind == 5:
         del holder[key]
     elif kind == 6 and isinstance(holder[key], int | float) and not isinstance(holder[key], bool):
-        holder[key] = rng.choice((-holder[key], holder[key] * 10**6, holder[key] + 1, holder[key] / 3, int(holder[key])))
+        number = holder[key]
+        holder[key] = rng.choice((-number, number * 10**6, number + 1, number * 0.3))
     elif isinstance(holder, list):
         holder.insert(rng.randrange(len(holder) + 1), json.loads(json.dumps(holder[key])))
     else:

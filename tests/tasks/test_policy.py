@@ -219,7 +219,7 @@ T = paper_task()
         (lambda: set_weight(math.nan), "finite"),
         (lambda: Policy.equal(T).select(0), "give either rng= or u="),
         (lambda: Policy.equal(T).select(0, "best", u=0.5), "expected one of exploration"),
-        (lambda: Policy.equal(T).select(0, "pseudo-random", q=2, u=0.5), "from 0 to 1"),
+        (lambda: Policy.equal(T).select(0, "pseudo-random", q=2, u=0.5), "from 0 up to 1"),
         (lambda: Policy.equal(T).select(90, u=0.5), "from 0 to 89"),
         (lambda: Policy(T, np.ones((90, 44)), kind="value").select(0, u=0.5), "drawn in proportion"),
     ],

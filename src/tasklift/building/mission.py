@@ -128,18 +128,27 @@ class Mission(Setting):
         >>> hunt.evaluate([tl.Policy.equal(hunt.task)] * 2, episodes=4).steps.shape
         (2, 4)
         """
-        task, weights = self.task, policies
-        if not isinstance(policies, np.ndarray):
+        if isinstance(policies, np.ndarray):
+            task, weights = self.task, np.require(policies, requirements=["C", "A", "W"])
+        else:
             task, weights = _tables([policies] if isinstance(policies, Policy) else policies)
-        weights = np.ascontiguousarray(weights)
         return self.simulator.run_many(
-            task, weights, trials=episodes, seeds=[seed] * len(weights), stage=stage,
-            reinforcement=reinforcement or Reinforcement(), first_trial=first_episode, learn=False, threads=threads,
-        )  # fmt: skip
+            task,
+            weights,
+            trials=episodes,
+            seeds=[seed] * (len(weights) if weights.ndim else 0),
+            stage=stage,
+            reinforcement=Reinforcement() if reinforcement is None else reinforcement,
+            first_trial=first_episode,
+            learn=False,
+            threads=threads,
+        )
 
 
 def _tables(policies: Sequence[Policy]) -> tuple[Task, NDArray[np.float64]]:
     """Return the one task of some policies, and their weights, float64 (P, S, A)."""
+    if not isinstance(policies, list | tuple):
+        raise TaskliftError(f"evaluate: expected policies, or an array (P, S, A), found {shown(policies)}")
     for policy in policies:
         if not isinstance(policy, Policy):
             raise TaskliftError(f"evaluate: expected policies, or an array (P, S, A), found {shown(policy)}")

@@ -58,7 +58,7 @@ class Setting:
         self._check_hostiles()
 
     def _check_hostiles(self) -> None:
-        if isinstance(self.hostiles, Sequence | np.ndarray) and not isinstance(self.hostiles, str):
+        if isinstance(self.hostiles, list | tuple | np.ndarray) and np.ndim(self.hostiles):
             for node in self.hostiles:
                 whole_number(node, "hostiles, node", 0, self.building.n_nodes - 1)
                 if self.building.kind[node] != FEATURE:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,18 +17,19 @@ from tasklift.building import kernel, layout
 from tasklift.building.outcomes import SearchOutcomes, Trace
 from tasklift.building.search import hostile_candidates
 from tasklift.building.setting import Setting
-from tasklift.checks import LARGEST_WHOLE, whole_number
+from tasklift.checks import LARGEST_WHOLE, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
+from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 from tasklift.text import shown
 
-if TYPE_CHECKING:
-    from tasklift.tasks.policy import Policy
-
 #: The most trials in one call, summed over its runs: their outcomes take about a gigabyte.
 LARGEST_CALL = 10_000_000
+
+#: The most robots × steps that a trace keeps (about a gigabyte).
+LARGEST_TRACE = 5_000_000
 
 FAILURE, SUCCESS = kernel.FAILURE, kernel.SUCCESS  #: how a trial ends, as :meth:`Simulator.step` returns it
 _SPLITS = {"robots": kernel.SPLIT_ROBOTS, "pairs": kernel.SPLIT_PAIRS, "team": kernel.SPLIT_TEAM}
@@ -142,18 +143,28 @@ class Simulator:
         TaskliftError
             If ``task`` is neither the mission's task nor a simplification of it.
         """
-        if not isinstance(task, Task) or not isinstance(reinforcement, Reinforcement):
-            found = f"{shown(task)} and {shown(reinforcement)}"
-            raise TaskliftError(f"simulator: expected a Task and a Reinforcement, found {found}")
+        self._check_task(task)
+        if not isinstance(reinforcement, Reinforcement):
+            raise TaskliftError(f"simulator: expected a Reinforcement, found {shown(reinforcement)}")
+        for name, value in {"sweep": sweep, "learn": learn}.items():
+            one_of(value, (False, True), name)
+        return _compiled(task, reinforcement, sweep, learn)
+
+    def _check_task(self, task: object) -> None:
+        if not isinstance(task, Task):
+            raise TaskliftError(f"simulator: expected a Task, found {shown(task)}")
         if task.root != self.mission.task:
             raise TaskliftError(
                 f"task {task.name!r} is not a simplification of this mission's task {self.mission.task.name!r}; "
                 "start from `mission.task`"
             )
-        return _compiled(task, reinforcement, bool(sweep), bool(learn))
 
     def lane(self, shape: tuple[int, int]) -> layout.Lane:
         """Allocate one simulation, for a table of weights of this shape (S, A)."""
+        if not isinstance(shape, tuple) or len(shape) != 2:
+            raise TaskliftError(f"lane: expected the shape (inputs, outputs) of a table, found {shown(shape)}")
+        for size, most in zip(shape, self.mission.task.shape, strict=True):
+            whole_number(size, "lane, shape", 1, most)
         n_robots, n_nodes = self.mission.n_robots, len(self.world.nodes)
         n_edges = self.mission.building.n_edges
         words = (n_edges + 63) // 64
@@ -193,13 +204,30 @@ class Simulator:
 
     def begin_trial(self, lane: layout.Lane, seed: int, stage: int, trial: int) -> None:
         """Set a lane to the start of one trial; :meth:`step` and :meth:`act` take it from there."""
+        self._check_lane(lane)
         whole_number(trial, "trial")
         stage_key, place_key = self.keys(seed, stage)
         kernel.begin_trial(self.world, self.rules, lane, np.uint64(kernel.child_key(stage_key, int(trial))), place_key)
 
     def step(self, learner: layout.Learner, lane: layout.Lane) -> int:
         """Run one step; return the kernel's ``GOES_ON``, ``SUCCESS``, ``FAILURE`` or ``OUTSIDE``."""
+        self._check(learner, lane)
         return int(kernel.step(self.world, self.rules, learner, lane))
+
+    def _check(self, learner: object, lane: Any) -> None:
+        self._check_lane(lane)
+        if not isinstance(learner, layout.Learner) or learner.signal.shape != lane.weights.shape:
+            raise TaskliftError("step: expected the learner of a task whose table has the shape of the lane's weights")
+        if len(learner.rows) != self.mission.task.shape[0]:
+            raise TaskliftError("step: expected a learner that this simulator's `learner` compiled")
+
+    def _check_lane(self, lane: object) -> None:
+        """Refuse what was not allocated by :meth:`lane` of a simulator of these sizes."""
+        sizes = self.mission.n_robots, len(self.world.nodes), self.mission.building.n_edges
+        if not isinstance(lane, layout.Lane) or (len(lane.robots), len(lane.sites), len(lane.visited)) != sizes:
+            raise TaskliftError("simulator: expected a lane that this simulator's `lane` allocated")
+        if lane.used.shape != lane.weights.shape:
+            raise TaskliftError("simulator: the lane's weights have another shape than it was allocated for")
 
     # --- running ------------------------------------------------------------------------------------------------
 
@@ -235,7 +263,8 @@ class Simulator:
         >>> out.steps.shape, out.robots_left.shape
         ((3,), (3, 2))
         """
-        if not isinstance(weights, np.ndarray) or weights.shape != task.shape:
+        if not isinstance(task, Task) or not isinstance(weights, np.ndarray) or weights.shape != task.shape:
+            self._check_task(task)
             raise TaskliftError(f"weights: expected an array of shape {task.shape}, found {_described(weights)}")
         together = self.run_many(
             task, weights[None], trials=trials, seeds=[seed], stage=stage, reinforcement=reinforcement,
@@ -302,10 +331,11 @@ class Simulator:
             whole_number(max_losses, "max_losses")
             if n_runs != 1:
                 raise TaskliftError(f"max_losses: expected a single run, found {n_runs}; cap them one by one")
-        if len(seeds) != n_runs:
-            raise TaskliftError(f"seeds: expected one for each of {n_runs} tables of weights, found {len(seeds)}")
-        keys_of = {seed: self.keys(seed, stage) for seed in dict.fromkeys(seeds)}
-        keys = np.array([keys_of[seed] for seed in seeds], np.uint64).reshape(n_runs, 2)
+        if not isinstance(seeds, list | tuple | np.ndarray) or not np.iterable(seeds) or len(seeds) != n_runs:
+            raise TaskliftError(f"seeds: expected one for each of {n_runs} tables of weights, found {shown(seeds)}")
+        numbers = [whole_number(seed, "seed") for seed in seeds]
+        keys_of = {number: self.keys(number, stage) for number in dict.fromkeys(numbers)}
+        keys = np.array([keys_of[number] for number in numbers], np.uint64).reshape(n_runs, 2)
         fixed = _checked_outputs(task, outputs, trials)
         # a run that learns goes from trial to trial; one that does not may be cut anywhere
         block = trials if learn or max_losses is not None else max(1, min(trials, n_runs * trials // 64))
@@ -348,7 +378,11 @@ class Simulator:
         outputs : int64 (R,)
             The number of each robot's output; a lost robot's is not looked at.
         """
-        given = np.asarray(outputs)
+        self._check(learner, lane)
+        try:
+            given = np.asarray(outputs)
+        except ValueError:  # lists of several lengths
+            given = np.empty(0)
         if given.shape != lane.given.shape or given.dtype.kind not in "iu":
             raise TaskliftError(f"act: expected {len(lane.given)} output numbers, found {_described(given)}")
         last = len(learner.outputs) - 1
@@ -359,6 +393,7 @@ class Simulator:
 
     def observe(self, lane: layout.Lane) -> NDArray[np.int64]:
         """Return every robot's input, ``int64 (R,)``: its row of the full task's table."""
+        self._check_lane(lane)
         kernel.observe(self.world, self.rules, lane)
         return lane.robots["row"].copy()
 
@@ -395,9 +430,12 @@ class Simulator:
         learn
             Whether weights change during the trial.
         """
+        if not isinstance(policy, Policy):
+            raise TaskliftError(f"trace: expected a policy, found {shown(policy)}")
         if output is not None:
             whole_number(output, "output", 0, policy.task.shape[1] - 1)
         rules = Reinforcement() if reinforcement is None else reinforcement
+        whole_number(stage, "stage", 0, _LARGEST_STAGE)
         stage = SWEEP_STAGE if output is not None and stage == TARGET_STAGE else stage
         learner = self.learner(policy.task, rules, sweep=output is not None, learn=learn)
         lane = self.lane(policy.task.shape)
@@ -411,6 +449,11 @@ class Simulator:
             if state == kernel.OUTSIDE:
                 self._refuse_input(policy.task, int(lane.count["outside"][0]) - 1)
             frames.append(_frame(lane))
+            if len(frames) * self.mission.n_robots > LARGEST_TRACE:
+                raise TaskliftError(
+                    f"trace: {len(frames):,} steps of {self.mission.n_robots:,} robots are more than memory is meant "
+                    "for; lower the mission's limit"
+                )
         return Trace(
             mission=self.mission,
             task=policy.task,

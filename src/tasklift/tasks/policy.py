@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import tasklift
-from tasklift.checks import check_fields, plain
+from tasklift.checks import check_fields, number, one_of, plain, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import (
     canonical_json,
@@ -140,9 +140,7 @@ class Policy:
         """Return the weights (A,) of an input, given by its index or as ``{name: value}``."""
         if isinstance(input, Mapping):
             return self.weights[self.task.input_index(input)]
-        if not 0 <= int(input) < self.task.shape[0]:
-            raise TaskliftError(f"policy: expected an input from 0 to {self.task.shape[0] - 1}, found {input}")
-        return self.weights[int(input)]
+        return self.weights[whole_number(input, "policy, input", 0, self.task.shape[0] - 1)]
 
     def probabilities(
         self, input: int | Mapping[str, Any], selection: Selection = "exploration", q: float = 0.9
@@ -235,6 +233,8 @@ class Policy:
             raise TaskliftError("policy, select: give either rng= or u=, so that the choice can be repeated")
         if rng is not None:
             coin, u = rng.random(), rng.random()
+        if not (0 <= number(u, "policy, select, u") < 1 and 0 <= number(coin, "policy, select, coin") < 1):
+            raise TaskliftError(f"policy, select: expected u and coin in [0, 1), found {shown(u)} and {shown(coin)}")
         return int(choice.select(self.row(input), greedy, coin, u))
 
     def _need_weights(self, selection: str) -> None:
@@ -369,18 +369,18 @@ class Policy:
 
 def _greedy(selection: str, q: float) -> float:
     """Return the probability of taking the heaviest output of a way of selection."""
-    if selection not in SELECTIONS:
-        raise TaskliftError(f"selection: expected one of {', '.join(SELECTIONS)}, found {selection!r}")
-    if not 0.0 <= q <= 1.0:
-        raise TaskliftError(f"selection: q is a probability, from 0 to 1, found {q!r}")
-    return {"exploration": 0.0, "exploitation": 1.0}.get(selection, float(q))
+    one_of(selection, SELECTIONS, "selection")
+    q = number(q, "selection, q (a probability)", 0.0, 1.0)
+    return {"exploration": 0.0, "exploitation": 1.0}.get(selection, q)
 
 
 def _checked(task: Task, given: ArrayLike, what: str) -> Weights:
     """Return a read-only float64 (S, A) copy, or say what is wrong with it."""
     try:
+        if np.iscomplexobj(given):
+            raise TypeError("complex numbers")
         array = np.array(given, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise TaskliftError(f"policy: the {what} are not a table of numbers ({error})") from error
     if array.shape != task.shape:
         raise TaskliftError(

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.checks import check_fields, check_name
+from tasklift.checks import check_fields, check_name, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
 from tasklift.tasks.variable import Condition, Signal, Value, Variable, condition_json, plain_number
@@ -186,9 +186,7 @@ class Task:
         return index
 
     def _values(self, index: int, variables: tuple[Variable, ...], n: int, what: str) -> dict[str, Value]:
-        rest = int(index)
-        if not 0 <= rest < n:
-            raise TaskliftError(f"task {self.name!r}: expected an {what} index from 0 to {n - 1}, found {index}")
+        rest = whole_number(index, f"task {self.name!r}, number of an {what}", 0, n - 1)
         found: dict[str, Value] = {}
         for variable in reversed(variables):
             rest, position = divmod(rest, len(variable))

@@ -142,7 +142,7 @@ def test_damaged_buildings_are_refused_in_one_line(tasklift, building, damage, s
     [
         (("--hostiles", 9), "not next to the start"),
         (("--weapons-needed", 6), "needs 6 weapon robots, the team has 5"),
-        (("--team", "0+0", "--hostiles", 0), "at least one robot"),
+        (("--team", "0+0", "--hostiles", 0), "number of robots: expected a whole number from 1"),
         (("--team", "ten"), "10+5"),
         (("--trials", 0), "--trials"),
         (("--limit", -1), "--limit"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -11,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tasklift import __version__
+from tasklift.cli.terminal import say
 from tasklift.errors import TaskliftError
+from tasklift.text import one_line
 
 if TYPE_CHECKING:
     from tasklift.lab import Progress
@@ -226,21 +229,23 @@ def policy_show(file: Path, top: int) -> None:
     from tasklift.tasks.policy import Policy
 
     loaded = Policy.load(file)
-    click.echo(f"{loaded.task.name}: {loaded.task.shape[0]} inputs x {loaded.task.shape[1]} outputs")
+    say(f"{loaded.task.name}: {loaded.task.shape[0]} inputs x {loaded.task.shape[1]} outputs")
     for line in loaded.describe(top):
-        click.echo(line)
+        say(line)
 
 
 @policy.command("export")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="A .csv file.")
-def policy_export(file: Path, out: Path) -> None:
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+def policy_export(file: Path, out: Path, force: bool) -> None:
     """Write a policy as a table: one line per input and output, with weight and probability."""
-    from tasklift.files import write_atomically
+    from tasklift.files import output_file, write_atomically
     from tasklift.tasks.policy import Policy
 
-    write_atomically(out, Policy.load(file).to_csv())
-    click.echo(f"written: {out}")
+    output_file(out, (".csv",), force=force, reads=[file])
+    write_atomically(out, Policy.load(file).to_csv(), replace=force)
+    say(f"written: {out}")
 
 
 class _progress:
@@ -275,16 +280,19 @@ class _progress:
 
 def main() -> None:
     """Run the command line; the user's mistakes end in one line and exit code 2, Ctrl-C in 130."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show a character gets its number
+            stream.reconfigure(errors="backslashreplace")
     try:
         cli.main(standalone_mode=False)
     except TaskliftError as error:
-        click.echo(f"tasklift: {error}", err=True)
+        click.echo(one_line(f"tasklift: {error}"), err=True)
         sys.exit(2)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(2)
     except click.ClickException as error:
-        click.echo(f"tasklift: {error.format_message()}", err=True)
+        click.echo(one_line(f"tasklift: {error.format_message()}"), err=True)
         sys.exit(2)
     except (KeyboardInterrupt, click.Abort) as stop:
         # click turns the interrupt into Abort; its cause may say how to resume

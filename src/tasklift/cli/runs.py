@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tasklift.cli.terminal import say
+from tasklift.text import number, printable
+
 if TYPE_CHECKING:
     from tasklift.lab.runs import Table
 
@@ -72,11 +75,12 @@ def runs_compare(
 @click.argument("run", type=_path)
 @click.option("-o", "--out", type=_path, required=True, help="A .csv or .parquet file.")
 @click.option("--what", type=click.Choice(["trials", "cells"]), default="trials", show_default=True)
-def runs_export(run: Path, out: Path, what: str) -> None:
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+def runs_export(run: Path, out: Path, what: str, force: bool) -> None:
     """Write an experiment's rows to a file."""
     from tasklift.lab.runs import export
 
-    click.echo(f"{export(run, out, what=what)} rows: {out}")
+    say(f"{export(run, out, what=what, force=force)} rows: {out}")
 
 
 def print_tables(*tables: Table) -> None:
@@ -87,9 +91,9 @@ def print_tables(*tables: Table) -> None:
 
     console = Console()
     for content in tables:
-        table = Drawn(title=Text(content.title), title_justify="left")
+        table = Drawn(title=Text(printable(content.title)), title_justify="left")
         for header in content.headers:
-            table.add_column(Text(str(header)))
+            table.add_column(Text(printable(header)))
         for row in content.rows:
-            table.add_row(*(Text(f"{value:.4g}" if isinstance(value, float) else str(value)) for value in row))
+            table.add_row(*(Text(number(value) if isinstance(value, float) else printable(value)) for value in row))
         console.print(table)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tasklift.cli.terminal import say
+
 if TYPE_CHECKING:
     from tasklift.building.simulator import Trace
 
@@ -65,48 +67,54 @@ _count = click.IntRange(min=0)
 )
 @click.option("--html", type=click.Path(path_type=Path), help="Write the replay as one HTML file instead.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the traces as one JSON file.")
+@click.option("--force", is_flag=True, help="With --html and --json: replace files that are there.")
 @click.option("--open/--no-open", "open_browser", default=True, help="Open the browser, or print the address only.")
-def watch_command(source: Path, html: Path | None, json_file: Path | None, open_browser: bool, **options: Any) -> None:
+def watch_command(
+    source: Path, html: Path | None, json_file: Path | None, force: bool, open_browser: bool, **options: Any
+) -> None:
     """Replay trials in the browser, side by side.
 
     SOURCE is the folder of an experiment (of `reproduce` or `train`), a building (.json or .graph), or a replay
     that --json wrote. A building is simulated: with policy files, or with the arms of the paper, which learn on it
     first.
     """
-    from tasklift.files import canonical_json, write_atomically
+    from tasklift.files import canonical_json, output_file, write_atomically
     from tasklift.watch.html import page
 
+    for target, suffixes in ((json_file, (".json",)), (html, (".html", ".htm"))):
+        if target is not None:
+            output_file(target, suffixes, force=force, reads=[source, *options["policies"]])
     document = _document(source, **options)
     if json_file is not None:
-        write_atomically(json_file, canonical_json(document))
-        click.echo(f"written: {json_file}")
+        write_atomically(json_file, canonical_json(document), replace=force)
+        say(f"written: {json_file}")
     if html is not None:
-        write_atomically(html, page(document))
-        click.echo(f"written: {html}")
+        write_atomically(html, page(document), replace=force)
+        say(f"written: {html}")
     if html is None and json_file is None:
         from tasklift.watch.server import serve
 
-        serve(page(document), open_browser=open_browser, say=click.echo)
+        serve(page(document), open_browser=open_browser, say=say)
 
 
 def _document(source: Path, **options: Any) -> dict[str, Any]:
     from tasklift.errors import TaskliftError
     from tasklift.files import parse_json, read_text
-    from tasklift.watch.document import FORMAT, read, replay
+    from tasklift.watch.document import FORMAT, checked, replay
 
     if not source.exists():
         raise TaskliftError(f"{source}: no such file or folder; expected an experiment, a building or a replay")
-    if source.is_file() and source.suffix == ".json":
+    if not source.is_dir() and source.suffix == ".json":
         found = parse_json(read_text(source), str(source))
         if isinstance(found, dict) and found.get("format") == FORMAT:
-            return read(source)
+            return checked(found, str(source))
     if source.is_dir() or source.suffix not in (".json", ".graph"):
         traces = _of_run(source, **options)
     else:
         traces = _of_building(source, **options)
     for label, trace in traces:
         end = f"done in {trace.steps} steps" if trace.success else f"not done in {trace.steps} steps"
-        click.echo(f"{label}: {end}, {trace.losses[-1]} lost", err=True)
+        say(f"{label}: {end}, {trace.losses[-1]} lost", err=True)
     return replay(traces, _title(traces, source))
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
 from tasklift import stats
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json
+from tasklift.files import canonical_json, output_file, writing
 from tasklift.lab.cell import Cell
 from tasklift.lab.file import FILE_NAME
 from tasklift.lab.store import Store
@@ -150,7 +150,9 @@ def compare(
     return tables
 
 
-def export(path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: str = "trials") -> int:
+def export(
+    path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: str = "trials", force: bool = False
+) -> int:
     """Write rows to a ``.csv`` or ``.parquet`` file; return how many.
 
     Parameters
@@ -159,27 +161,20 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: s
         ``"trials"``: a row per trial, with spec (the first 12 digits of its id), release, axes, stage, trial
         (from 1) and every column.
         ``"cells"``: a row per cell with its summaries.
+    force
+        Whether a file that is there is replaced.
     """
-    target = Path(out)
-    if target.suffix not in (".csv", ".parquet"):
-        raise TaskliftError(f"{target}: expected a name that ends in .csv or .parquet")
+    target = output_file(out, (".csv", ".parquet"), force=force)
     if what not in ("trials", "cells"):
         raise TaskliftError(f"runs export: {what!r}, expected 'trials' or 'cells'")
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
     with Store.read(path) as store:
         if what == "trials" and store.detail == "summary":
             raise TaskliftError(f"{store.path}: keeps summaries only; export what='cells'")
         columns = _columns(store, what)
         batches = _batches(store, what, columns)
-        try:
-            count = (_write_csv if target.suffix == ".csv" else _write_parquet)(part, columns, batches)
-            os.replace(part, target)
-        except OSError as error:
-            raise TaskliftError(f"{target}: cannot be written ({error.strerror}); choose another place") from error
-        finally:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
-    return count
+        write = _write_csv if target.suffix.lower() == ".csv" else _write_parquet
+        with writing(target, replace=force) as file:
+            return write(file, columns, batches)
 
 
 # ---------------------------------------------------------------- parts
@@ -261,18 +256,19 @@ def _batches(store: Store, what: str, columns: dict[str, type]) -> Iterator[dict
     yield batch
 
 
-def _write_csv(path: Path, columns: dict[str, type], batches: Iterator[dict[str, list[Any]]]) -> int:
+def _write_csv(file: IO[bytes], columns: dict[str, type], batches: Iterator[dict[str, list[Any]]]) -> int:
     count = 0
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        for batch in batches:
-            writer.writerows(zip(*batch.values(), strict=True))
-            count += len(batch["spec"])
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(columns)
+    for batch in batches:
+        writer.writerows(zip(*batch.values(), strict=True))
+        count += len(batch["spec"])
+    text.detach()  # flushed; the file stays open
     return count
 
 
-def _write_parquet(path: Path, columns: dict[str, type], batches: Iterator[dict[str, list[Any]]]) -> int:
+def _write_parquet(file: IO[bytes], columns: dict[str, type], batches: Iterator[dict[str, list[Any]]]) -> int:
     try:
         import pyarrow
         from pyarrow import parquet
@@ -281,7 +277,7 @@ def _write_parquet(path: Path, columns: dict[str, type], batches: Iterator[dict[
     kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns.items()])
     count = 0
-    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+    with parquet.ParquetWriter(file, schema, compression="zstd") as writer:
         for batch in batches:
             writer.write_table(pyarrow.table(batch, schema=schema))
             count += len(batch["spec"])

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 import tasklift
 from tasklift.building.graph import CLASS_NAMES, KIND_NAMES, ROOM, Building
+from tasklift.checks import check_fields
 from tasklift.errors import TaskliftError
-from tasklift.files import read_document
+from tasklift.files import check_document, parse_json, read_text
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import Trace
@@ -77,7 +78,14 @@ def replay(traces: Sequence[tuple[str, Trace]], title: str) -> dict[str, Any]:
 
 def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a replay document. The page checks the rest when it opens it, and says what is wrong."""
-    return read_document(path, FORMAT, VERSION)
+    return checked(parse_json(read_text(path), str(path)), str(path))
+
+
+def checked(document: Any, where: str) -> dict[str, Any]:
+    """Return a parsed document if it is a replay with the fields it has; errors name ``where``."""
+    check_document(document, where, FORMAT, VERSION)
+    parts = {"building": dict, "kinds": list, "tasks": list, "traces": list}
+    return check_fields(document, where, {"format": str, "version": int, "made_by": str, "title": str} | parts)
 
 
 # --- the parts ------------------------------------------------------------------------------------------------

@@ -151,7 +151,7 @@ def compare(
 
 
 def export(
-    path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: str = "trials", force: bool = False
+    path: str | os.PathLike[str], out: str | os.PathLike[str], *, what: str = "trials", force: bool = True
 ) -> int:
     """Write rows to a ``.csv`` or ``.parquet`` file; return how many.
 
@@ -162,7 +162,7 @@ def export(
         (from 1) and every column.
         ``"cells"``: a row per cell with its summaries.
     force
-        Whether a file that is there is replaced.
+        Whether a file that is there is replaced; the command line asks for ``--force``.
     """
     target = output_file(out, (".csv", ".parquet"), force=force)
     if what not in ("trials", "cells"):

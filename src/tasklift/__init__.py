@@ -10,7 +10,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "errors": ("TaskliftError",),
     "tasks.task": ("Signal", "Task", "Variable"),
-    "tasks.policy": ("Policy", "invert", "scale", "set_weight", "swap"),
+    "tasks.policy": ("Policy", "forget", "invert", "scale", "set_weight", "swap"),
     "learning.worlds": ("Outcomes", "Step", "StepOutcomes", "Steps", "Trials"),
     "learning.chances": ("Chances",),
     "learning.learner": ("Curve", "InTurn", "Learner", "Run"),

@@ -16,7 +16,7 @@ from test_task import paper_simple, paper_task, simplified, small_tasks
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
 from tasklift.tasks import policy as module
-from tasklift.tasks.policy import Policy, invert, scale, set_weight, swap
+from tasklift.tasks.policy import Policy, forget, invert, scale, set_weight, swap
 from tasklift.tasks.task import Task, Variable
 
 PROPERTY = settings(deadline=None, derandomize=True, max_examples=60)
@@ -140,6 +140,24 @@ def test_invert_reflects_each_row_and_twice_is_nothing(data: st.DataObject) -> N
     assert np.allclose(once.extend(task, [invert(where)]).weights, t.weights)
 
 
+@PROPERTY
+@given(st.data())
+def test_forget_spreads_one_output_and_keeps_the_others(data: st.DataObject) -> None:
+    task = data.draw(small_tasks())
+    t = random_policy(task, data.draw(st.integers(0, 99)))
+    forgotten = data.draw(st.sampled_from(task.outputs))
+    axis = 1 + task.outputs.index(forgotten)
+    once = t.extend(task, [forget(forgotten.name)])
+    shape = (task.shape[0], *map(len, task.outputs))
+    before, after = t.weights.reshape(shape), once.weights.reshape(shape)
+    assert np.all(np.ptp(after, axis=axis) == 0)
+    assert np.allclose(after.sum(axis=axis), before.sum(axis=axis))
+    where = {"i0": 0}
+    partly = t.extend(task, [forget(forgotten.name, where)])
+    chosen = task.where(where)
+    assert np.array_equal(partly.weights, np.where(chosen, once.weights, t.weights))
+
+
 def test_scale_and_set_act_in_order_and_are_told() -> None:
     task = paper_task()
     t = Policy.equal(task, 2.0)
@@ -213,6 +231,8 @@ T = paper_task()
         (lambda: Policy.equal(T).extend(T, [swap("CA")]), "has 11 values; say which"),
         (lambda: Policy.equal(T).extend(T, [swap("CA", (0.0, 0.77))]), "no value 0.77"),
         (lambda: Policy.equal(T).extend(T, [swap("MV", when={"MV": 0})]), "cannot be a condition"),
+        (lambda: Policy.equal(T).extend(T, [forget("DL")]), "expected an output, found the input 'DL'"),
+        (lambda: Policy.equal(T).extend(T, [forget("MV", {"MV": 0})]), "cannot be a condition"),
         (lambda: Policy.equal(T).extend(T, [invert({"DL": 3})]), "'DL' has no value 3"),
         (lambda: Policy.equal(T).extend(T, [set_weight(-1)]), "not negative"),
         (lambda: scale(-1), "number of 0.0 or more"),

@@ -54,12 +54,12 @@ from tasklift.learning.learner import Learner
 from tasklift.learning.reinforcement import Reinforcement, Sweep
 from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning
-from tasklift.tasks.prior import Prior, invert, scale, set_weight, swap
+from tasklift.tasks.prior import Prior, forget, invert, scale, set_weight, swap
 from tasklift.tasks.task import LARGEST_TABLE, Signal, Task, Variable
 
 _NUMBER = (int, float)
 _TASK_CHANGES = ("fix", "remove", "restrict", "signals", "impossible", "time_reward")
-_PRIORS = {"swap": swap, "invert": invert, "scale": scale, "set_weight": set_weight}
+_PRIORS = {"swap": swap, "forget": forget, "invert": invert, "scale": scale, "set_weight": set_weight}
 
 
 def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 A policy is the paper's π(s, a), a utility for each state and action (Singh & Adams 2006, section III).
 Extending it from a simpler task V to the task T that V came from is the paper's transfer: weights are copied
-to every value put back, and prior knowledge may then change chosen rows (:func:`swap`, :func:`invert`,
-:func:`scale`, :func:`set_weight`).
+to every value put back, and prior knowledge may then change chosen rows (:func:`swap`, :func:`forget`,
+:func:`invert`, :func:`scale`, :func:`set_weight`).
 
 Shapes: ``S`` inputs, ``A`` outputs of the policy's task.
 """
@@ -39,12 +39,12 @@ from tasklift.files import (
     write_atomically,
 )
 from tasklift.tasks import choice
-from tasklift.tasks.prior import Prior, invert, scale, set_weight, swap
+from tasklift.tasks.prior import Prior, forget, invert, scale, set_weight, swap
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable, plain_number
 from tasklift.text import shown
 
-__all__ = ["Policy", "Prior", "Selection", "Weights", "invert", "scale", "set_weight", "swap"]
+__all__ = ["Policy", "Prior", "Selection", "Weights", "forget", "invert", "scale", "set_weight", "swap"]
 
 Weights = NDArray[np.float64]
 Selection = Literal["exploration", "pseudo-random", "exploitation"]
@@ -255,7 +255,7 @@ class Policy:
         task
             A task of this task's lineage: its parent, the root, or any in between, or the same task again.
         prior
-            Operations on chosen rows: :func:`swap`, :func:`invert`, :func:`scale`, :func:`set_weight`.
+            Operations on chosen rows: :func:`swap`, :func:`forget`, :func:`invert`, :func:`scale`, :func:`set_weight`.
 
         Raises
         ------

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
 from tasklift.tasks.task import Condition, Task
-from tasklift.tasks.variable import plain_number
+from tasklift.tasks.variable import Variable, plain_number
 
 Weights = NDArray[np.float64]
 Inputs = NDArray[np.int64] | None
@@ -49,11 +49,7 @@ class _Swap:
 
     def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
         where = "prior swap"
-        variable = task.variable(self.output, where)
-        if variable not in task.outputs:
-            raise TaskliftError(f"{where}: expected an output, found the input {self.output!r}")
-        if self.output in self.when:
-            raise TaskliftError(f"{where}: {self.output!r} is what is swapped, it cannot be a condition as well")
+        variable = _output(task, self.output, self.when, where)
         if self.values is None and len(variable) != 2:
             raise TaskliftError(f"{where}: {self.output!r} has {len(variable)} values; say which with values=(a, b)")
         pair = variable.values if self.values is None else self.values
@@ -68,6 +64,22 @@ class _Swap:
 
     def to_json(self) -> dict[str, Any]:
         return _json("swap", self.when, output=self.output, values=self.values)
+
+
+@dataclass(frozen=True)
+class _Forget:
+    output: str
+    when: Condition
+
+    def apply(self, task: Task, weights: Weights, inputs: Inputs = None) -> Weights:
+        variable = _output(task, self.output, self.when, "prior forget")
+        cube = weights.reshape(len(weights), *map(len, task.outputs))
+        means = cube.mean(axis=1 + task.outputs.index(variable), keepdims=True)
+        even = np.broadcast_to(means, cube.shape).reshape(weights.shape)
+        return np.where(task.where(self.when, inputs), even, weights)
+
+    def to_json(self) -> dict[str, Any]:
+        return _json("forget", self.when, output=self.output)
 
 
 @dataclass(frozen=True)
@@ -112,6 +124,16 @@ class _SetWeight:
         return _json("set_weight", self.when, value=self.value)
 
 
+def _output(task: Task, name: str, when: Condition, where: str) -> Variable:
+    """Return the output variable that a prior changes; it cannot be one of the prior's conditions."""
+    variable = task.variable(name, where)
+    if variable not in task.outputs:
+        raise TaskliftError(f"{where}: expected an output, found the input {name!r}")
+    if name in when:
+        raise TaskliftError(f"{where}: {name!r} is what is changed, it cannot be a condition as well")
+    return variable
+
+
 def _json(operation: str, when: Condition, **rest: Any) -> dict[str, Any]:
     conditions = {n: v if isinstance(v, str) else np.asarray(v).tolist() for n, v in when.items()}
     return {"operation": operation, "when": conditions} | {
@@ -146,6 +168,36 @@ def swap(output: str, values: tuple[Any, Any] | None = None, when: Condition | N
     [[1.0, 3.0], [3.0, 1.0]]
     """
     return _Swap(output, None if values is None else tuple(values), dict(when or {}))
+
+
+def forget(output: str, when: Condition | None = None) -> Prior:
+    """Prior: spread what was learned about an output evenly over its values; keep what was learned about the others.
+
+    A simple task teaches an output wrongly where the danger it leaves out decides. In the safe building search, every
+    stop is punished. Forgetting the output lets the next stage learn it anew, without losing the rest.
+
+    Parameters
+    ----------
+    output : str
+        An output variable. All its values get the mean weight over them, for each combination of the other outputs.
+    when : mapping, optional
+        ``{variable: value or values}``: only there.
+
+    Raises
+    ------
+    TaskliftError
+        When it is applied: for an unknown output, an input, or a condition on the output itself.
+
+    Examples
+    --------
+    >>> from tasklift.tasks.policy import Policy
+    >>> from tasklift.tasks.task import Task, Variable
+    >>> door = Task("door", inputs=(), outputs=(Variable("move", (0, 1)), Variable("way", ("left", "right"))))
+    >>> policy = Policy(door, [[1.0, 2.0, 3.0, 8.0]])
+    >>> policy.extend(door, prior=[forget("move")]).weights.tolist()
+    [[2.0, 5.0, 2.0, 5.0]]
+    """
+    return _Forget(output, dict(when or {}))
 
 
 def invert(when: Condition | None = None) -> Prior:

@@ -11,7 +11,7 @@ _HOMES = {
     "errors": ("TaskliftError",),
     "tasks.task": ("Signal", "Task", "Variable"),
     "tasks.policy": ("Policy", "forget", "invert", "scale", "set_weight", "swap"),
-    "learning.worlds": ("Outcomes", "Step", "StepOutcomes", "Steps", "Trials"),
+    "learning.worlds": ("Outcomes", "Step", "StepOutcomes", "Steps", "Trials", "joined"),
     "learning.chances": ("Chances",),
     "learning.learner": ("Curve", "InTurn", "Learner", "Run"),
     "learning.reinforcement": ("Fixed", "Reinforcement", "StepTrials", "Sweep", "reinforce", "sweep"),

@@ -13,14 +13,16 @@ from test_reinforcement import Corridor, simple_task
 from test_values import Gate, random_model
 
 from tasklift.errors import TaskliftError
+from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.compare import compare
-from tasklift.learning.curriculum import Curriculum
+from tasklift.learning.curriculum import Curriculum, CurriculumRun
 from tasklift.learning.guard import Guard, SequentialTest
-from tasklift.learning.reinforcement import Reinforcement, Sweep, reinforce, sweep
+from tasklift.learning.learner import Run
+from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep, reinforce, sweep
 from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning, learn_values
 from tasklift.learning.worlds import Outcomes, Step, StepOutcomes
-from tasklift.tasks.policy import Policy, swap
+from tasklift.tasks.policy import Policy, set_weight, swap
 from tasklift.tasks.task import Signal, Task, Variable
 
 PROPERTY = settings(deadline=None, derandomize=True, max_examples=60)
@@ -28,11 +30,11 @@ OPPOSITE = swap("go", when={"shut": 1})
 
 
 def corridor_curriculum(**target) -> Curriculum:
-    options = {"trials": 60, "prior": [OPPOSITE]} | target
+    options = {"learner": Reinforcement(), "trials": 60, "prior": [OPPOSITE]} | target
     return Curriculum(
         [
             Stage("open", simple_task(), Corridor(hazard=False), Sweep()),
-            Stage("gate", Corridor.task, Corridor(), Reinforcement(), **options),
+            Stage("gate", Corridor.task, Corridor(), **options),
         ]
     )
 
@@ -53,7 +55,7 @@ def test_a_curriculum_does_what_one_would_do_by_hand() -> None:
     assert told["before"]["before"]["stage"] == "open"
 
 
-@pytest.mark.parametrize("block", [1, 7, 20, 1000])
+@pytest.mark.parametrize("block", [1, 7, 20, 1000, None])
 def test_blocks_change_nothing(block: int) -> None:
     learning = ValueLearning(epsilon=0.5, epsilon_decay=0.95, step_size=0.05, step_power=0.7)
     model = random_model(5)
@@ -94,6 +96,131 @@ def test_a_budget_of_steps() -> None:
     assert steps[:-1].sum() < 300 <= steps.sum()
     weights = Curriculum([Stage("s", Gate.task, Gate(), Reinforcement(), steps=300)]).run().outcomes["s"].steps
     assert weights[:-1].sum() < 300 <= weights.sum()
+
+
+# -- what stages begin with, and share --------------------------------------------------------------------------
+
+
+def test_a_stage_may_begin_with_a_policy_of_its_own() -> None:
+    expert = Policy(simple_task(), np.tile([1.0, 9.0], (3, 1)))
+    first, second = corridor_curriculum().stages
+    run = Curriculum([first, replace(second, initial=expert)]).run(2)
+    by_hand = reinforce(Corridor(), expert.extend(Corridor.task, [OPPOSITE]), trials=60, seed=2)
+    assert np.array_equal(run.policy.weights, by_hand.policy.weights)
+    values = Stage("values", Gate.task, Gate(), ValueLearning(), trials=5)
+    with pytest.raises(TaskliftError, match="one learns values, one weights"):
+        Curriculum([values, Stage("weights", Gate.task, Gate(), Reinforcement(), trials=5)]).check()
+    with pytest.raises(TaskliftError, match="stage 'gate': "):
+        Curriculum([replace(second, initial=Policy.equal(OTHER))]).check()
+
+
+def test_prior_knowledge_is_applied_to_a_start_from_scratch_as_well() -> None:
+    prior = set_weight(7.0, when={"shut": 1, "go": 0})
+    stage = Stage("gate", Corridor.task, Corridor(), Fixed(), trials=1, prior=[prior])
+    weights = Curriculum([stage]).run().policy.weights
+    assert weights[1::2, 0].tolist() == [7.0] * 3
+    assert weights[::2].tolist() == [[1.5, 1.5]] * 3
+
+
+class Counted(Corridor):
+    """Counts the trials that are run on it."""
+
+    ran = 0
+
+    def run(self, *given, **options) -> Outcomes:
+        found = super().run(*given, **options)
+        self.ran += len(found)
+        return found
+
+
+def same_run(one: CurriculumRun, other: CurriculumRun) -> bool:
+    return (
+        np.array_equal(one.policy.weights, other.policy.weights)
+        and np.array_equal(one.best.weights, other.best.weights)
+        and one.ledger == other.ledger
+        and one.stopped == other.stopped
+        and all(np.array_equal(one.outcomes[s].losses, other.outcomes[s].losses) for s in one.outcomes)
+        and one.outcomes.keys() == other.outcomes.keys()
+        and one.policy.provenance == other.policy.provenance
+    )
+
+
+@pytest.mark.parametrize("cap", [None, 8])
+def test_curricula_that_begin_alike_learn_that_once_and_nothing_changes(cap: int | None) -> None:
+    safe, world, shared = Counted(hazard=False), Corridor(), {}
+    v = Stage("open", simple_task(), safe, Sweep())
+    # the same prior is written anew for each curriculum: equal settings are the same stage
+    priors = [[swap("go", when={"shut": 1})] for _ in range(2)]
+    drills = [Stage("drill", Corridor.task, world, Reinforcement(), trials=20, key=4, prior=prior) for prior in priors]
+    targets = [Stage("gate", Corridor.task, world, Reinforcement(q=q), trials=20) for q in (0.9, 0.5)]
+    curricula = [Curriculum([v, d, t], max_losses=cap) for d, t in zip(drills, targets, strict=True)]
+    curricula.append(Curriculum([v, targets[0]], max_losses=cap))
+    for seed in (0, 1):
+        found = [c.run(seed, shared=shared) for c in curricula]
+        assert safe.ran == 10 * (seed + 1)
+        assert found[0].outcomes["drill"] is found[1].outcomes["drill"]
+        alone = [
+            Curriculum([replace(v, world=Corridor(hazard=False)), *c.stages[1:]], max_losses=cap).run(seed)
+            for c in curricula
+        ]
+        assert all(same_run(one, other) for one, other in zip(found, alone, strict=True))
+        again = [c.run(seed, shared=shared) for c in curricula]
+        assert all(one is other for one, other in zip(found, again, strict=True))
+
+
+def test_worlds_that_cannot_be_compared_are_not_shared() -> None:
+    class Unhashable(Corridor):
+        __hash__ = None
+
+        def __eq__(self, other: object) -> bool:
+            return True
+
+    shared: dict = {}
+    stage = Stage("gate", Corridor.task, Unhashable(), Reinforcement(), trials=5)
+    assert len(Curriculum([stage]).run(shared=shared).outcomes["gate"]) == 5
+    assert not shared
+
+
+@PROPERTY
+@given(
+    trial=st.integers(0, 60),
+    block=st.sampled_from([1, 7, 20, None]),
+    seed=st.integers(0, 9),
+    learner=st.sampled_from([Reinforcement(), Reinforcement(time_signal="baseline"), Reinforcement(q=0.5)]),
+)
+def test_any_policy_on_the_way_can_be_had_again(
+    trial: int, block: int | None, seed: int, learner: Reinforcement
+) -> None:
+    curriculum = replace(corridor_curriculum(learner=learner), block=block)
+    found = curriculum.policy_at(seed, "gate", trial)
+    first, second = curriculum.stages
+    entered = second.enter(Curriculum([first], block=block).run(seed).policy)
+    by_hand = reinforce(Corridor(), entered, trials=trial, seed=seed, reinforcement=learner)
+    assert np.array_equal(found.weights, by_hand.policy.weights)
+    swept = curriculum.policy_at(seed, "open", min(trial, 9))
+    part = Sweep().learn(Corridor(False), Policy.equal(simple_task()), Run(seed, SWEEP_STAGE, trials=min(trial, 9)))
+    assert np.array_equal(swept.weights, part.policy.weights)
+
+
+def test_the_policy_of_a_trial_under_a_guard() -> None:
+    wrong = Policy(Gate.task, np.array([[100.0, -100.0]] * 6), kind="value")
+    learner = ValueLearning("sarsa", 0.02, discount=1.0, epsilon=0.1)
+    guard = Guard("return", 0.3, on_hurts="decay")
+    stage = Stage("gate", Gate.task, Gate(), learner, trials=120, guard=guard)
+    curriculum = Curriculum([stage], block=5)
+    run = curriculum.run(1, initial=wrong)
+    assert run.guards["gate"].actions
+    ends = len(run.outcomes["gate"])
+    assert np.array_equal(curriculum.policy_at(1, "gate", ends, initial=wrong).weights, run.policy.weights)
+    # every trial begun anew from the policy it began with comes out as it did
+    for trial in range(0, ends, 7):
+        policy = curriculum.policy_at(1, "gate", trial, initial=wrong)
+        one = learner.learn(Gate(), policy, Run(1, TARGET_STAGE, first_trial=trial, trials=1))
+        assert one.outcomes.steps[0] == run.outcomes["gate"].steps[trial]
+    with pytest.raises(TaskliftError, match=f"the stage ends after {ends} trials"):
+        curriculum.policy_at(1, "gate", ends + 1, initial=wrong)
+    with pytest.raises(TaskliftError, match="no stage 'hall'; there are gate"):
+        curriculum.policy_at(1, "hall", 0)
 
 
 # -- trust ---------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from row_digests import RECORDED, digest
 from tasklift.cli.learn import learn_command
 from tasklift.errors import TaskliftError
 from tasklift.files import parse_json
@@ -53,6 +54,19 @@ def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     assert len(told["findings"]) == 6
     assert (out / "comparison.txt").read_text().strip() in result.output
     assert np.isfinite(Policy.load(out / "policy.json").weights).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_rows_of_the_examples_do_not_change(name: str) -> None:
+    curriculum = curriculum_of(read_spec(EXAMPLES / name), EXAMPLES)
+    for seed in range(2):
+        run = curriculum.run(seed)
+        stages = {
+            stage: {n: value for n, value in vars(outcomes).items() if isinstance(value, np.ndarray)}
+            for stage, outcomes in run.outcomes.items()
+        }
+        found = digest(stages, {"policy": run.policy.weights, "best": run.best.weights})
+        assert found == RECORDED["learn"][f"{Path(name).stem}/{seed}"]
 
 
 def test_the_building_example_is_the_papers_experiment() -> None:

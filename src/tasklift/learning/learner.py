@@ -95,6 +95,25 @@ class Run:
         )
 
 
+    def rest(self, parts: Sequence[Outcomes]) -> Run | None:
+        """Return what is left of the run after these outcomes; None if no further trial may begin.
+
+        Examples
+        --------
+        >>> run, parts = Run(trials=3), []
+        >>> while (left := run.rest(parts)) is not None:
+        ...     parts.append(outcomes_of([(12, True, 0, 1.0)], limit=30))  # learn from trial left.first_trial
+        >>> len(parts)
+        3
+        """
+        done = (
+            sum(len(part) for part in parts),
+            sum(int(part.steps.sum()) for part in parts),
+            sum(int(part.losses.sum()) for part in parts),
+        )
+        return self.after(*done) if self.goes_on(*done) else None
+
+
 @dataclass(frozen=True)
 class Curve:
     """A learned policy, and the outcome of every trial on the way to it."""
@@ -197,29 +216,17 @@ class InTurn:
         """Learn from the trials of ``run``, each by the learner whose turn it is."""
         self.check(world, policy.task, run)
         parts: list[Outcomes] = []
-        ends = [*self.starts[1:], None]
-        for learner, end in zip(self.learners, ends, strict=True):
-            left = run if not parts else run.after(*totals(parts))
-            if end is not None:
-                turn = end - left.first_trial
-                if turn <= 0:
-                    continue
-                left = replace(left, trials=turn if left.trials is None else min(turn, left.trials))
-            curve = learner.learn(world, policy, left)
+        for learner, end in zip(self.learners, (*self.starts[1:], None), strict=True):
+            left = run.rest(parts)
+            if left is None:
+                break
+            if end is not None and end <= left.first_trial:
+                continue
+            turn = [n for n in (left.trials, None if end is None else end - left.first_trial) if n is not None]
+            curve = learner.learn(world, policy, replace(left, trials=min(turn, default=None)))
             policy = curve.policy
             parts.append(curve.outcomes)
-            if not run.goes_on(*totals(parts)):
-                break
         return Curve(policy, joined(parts))
-
-
-def totals(parts: Sequence[Outcomes]) -> tuple[int, int, int]:
-    """Return the trials, steps and losses of consecutive parts together."""
-    return (
-        sum(len(part) for part in parts),
-        sum(int(part.steps.sum()) for part in parts),
-        sum(int(part.losses.sum()) for part in parts),
-    )
 
 
 def divisible(learner: Learner) -> bool:

@@ -1,4 +1,4 @@
-"""Checks that an extension keeps its promises, for its own tests. What is broken is an ``AssertionError``."""
+"""A check of readers of maps, and damage to files for it."""
 
 from __future__ import annotations
 

@@ -103,7 +103,9 @@ def corridor_floor(building: Building) -> Any:
         side = (building.edges[edges, 1] == node).astype(int)
         ends[edges, side] -= reach[:, None] * away
     bands = shapely.buffer(shapely.linestrings(ends), half, cap_style="flat")
-    return shapely.union_all([*bands, *joints], grid_size=0.001)
+    # corridors of no length, and joints of corridors in one line, have no floor
+    floors = [shape for shape in (*bands, *joints) if shape.area > 0]
+    return shapely.union_all(floors, grid_size=0.001)
 
 
 def draw_plan(building: Building, ax: Axes, hostiles: Iterable[int] = (), legend: bool = True) -> None:

@@ -213,7 +213,8 @@ class _Sketch:
         edges = sorted(self.edges)
         position = np.array([node["at"] for node in nodes])
         provenance = dict(self.source.provenance)
-        provenance["edits"] = [*provenance.get("edits", []), *texts]
+        before = provenance.get("edits")
+        provenance["edits"] = [*(before if isinstance(before, list) else []), *texts]
         footprints = provenance.pop("footprints", None)
         if isinstance(footprints, dict):
             provenance["footprints"] = {

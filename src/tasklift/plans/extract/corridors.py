@@ -91,7 +91,8 @@ def _bar(barred: NDArray[np.bool_], space: Space, opening: Opening) -> tuple[tup
     sides = []
     for sign in (-1, 1):
         row, column = np.rint(opening.pixel + sign * 3 * np.array([-across[1], across[0]])).astype(int).tolist()
-        if not space.free[row, column]:
+        within = 0 <= row < space.free.shape[0] and 0 <= column < space.free.shape[1]
+        if not within or not space.free[row, column]:
             return None
         sides.append((row, column))
     for row, column in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):

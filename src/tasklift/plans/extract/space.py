@@ -25,6 +25,10 @@ DOOR_RULES = ("relative", "absolute")
 SPECKLE_M = 0.8
 FURNITURE_M = 2.0
 LONE_SPECKLE_M = 0.2
+# Plans of more cells than this are made coarser still: time and memory grow with them. Floor farther from any wall than
+# this, in pieces of a metre, is not a building's.
+MOST_CELLS = 17_000_000
+OPEN_M = 60.0
 
 
 @dataclass(frozen=True)
@@ -99,10 +103,13 @@ def clean(
     doubts: list[str] = []
     speckle_m, furniture_m = (LONE_SPECKLE_M, 0.0) if keep_islands else (SPECKLE_M, FURNITURE_M)
     factor = max(1, int(FINEST_M / plan.resolution_m + 1e-6))
+    while plan.free.size / factor**2 > MOST_CELLS:
+        factor += 1
     cell = plan.resolution_m * factor
     free = _coarser(plan.free, factor)
     if not free.any():
         raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
+    _refuse_open_country(plan.name, free, cell)
     free = np.pad(free, 1)
     filled = fill_islands(free, speckle_m / cell)
     free = free | filled
@@ -124,6 +131,17 @@ def clean(
     half = to_wall(chosen) * np.float32(cell)
     corner = int(rows[0]) - 2, int(columns[0]) - 2
     return Space(chosen, half, filled, cell, factor, corner, settings, furniture_m, doubts)
+
+
+def _refuse_open_country(name: str, free: NDArray[np.bool_], cell: float) -> None:
+    """Refuse floor that is far from any wall: it takes long, and comes to nothing."""
+    metre = max(1, round(1.0 / cell))
+    away = float(to_wall(np.pad(_coarser(free, metre), 1)).max()) * metre * cell
+    if away > OPEN_M:
+        raise TaskliftError(
+            f"{name}: floor is {away:.0f} m from any wall; is the resolution of {cell:g} m right, or in millimetres? "
+            "Else cut the picture to the building"
+        )
 
 
 def to_wall(free: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -7,10 +7,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.plans.plan import LARGEST_PIXELS, Plan
+from tasklift.plans.plan import Plan
 from tasklift.plans.source import Source
 
-RESOLUTION_M = 0.05
+# The first that keeps the plan below a number of cells.
+RESOLUTIONS_M = (0.05, 0.1)
+MOST_CELLS = 17_000_000
 WALL_M = 0.1
 MARGIN_M = 1.0
 
@@ -28,7 +30,9 @@ def plan_of_lines(
     seeds: Points | None = None,
     doubts: Iterable[str] = (),
 ) -> Plan:
-    """The plan of walls and floors on a grid of 5 cm; without floors all within the walls' bounds is floor.
+    """The plan of walls and floors on a grid of 5 cm, or 10 cm if it is very large.
+
+    Without floors all within the walls' bounds is floor.
 
     Parameters
     ----------
@@ -50,18 +54,21 @@ def plan_of_lines(
 
     points = np.concatenate([*walls, *floors])
     low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
-    width, height = (float(v) for v in np.ceil((high - low) / RESOLUTION_M))
-    if not width * height <= LARGEST_PIXELS:
+    for resolution in RESOLUTIONS_M:
+        width, height = (float(v) for v in np.ceil((high - low) / resolution))
+        if width * height <= MOST_CELLS:
+            break
+    else:
         raise source.fault(
-            f"{name}: {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m are more than fits {LARGEST_PIXELS:,} cells of "
-            f"{RESOLUTION_M:g} m; is the measurement right, and the unit?"
+            f"{name}: {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m are more than fits {MOST_CELLS:,} cells of "
+            f"{resolution:g} m; is the measurement right, and the unit?"
         )
 
     def pixels(line: Points) -> list[tuple[float, float]]:
-        at = (line - low) / RESOLUTION_M
+        at = (line - low) / resolution
         return [(x - 0.5, height - y - 0.5) for x, y in at.tolist()]
 
-    thickness = max(1, round(WALL_M / RESOLUTION_M))
+    thickness = max(1, round(WALL_M / resolution))
     floor = Image.new("1", (int(width), int(height)), 0 if len(floors) else 1)
     pen = ImageDraw.Draw(floor)
     for polygon in floors:
@@ -79,7 +86,7 @@ def plan_of_lines(
         inside & ~wall,
         ~inside & ~wall,
         np.where(wall, 0, np.where(inside, 254, 205)).astype(np.uint8),
-        RESOLUTION_M,
+        resolution,
         (float(low[0]), float(low[1]), 0.0),
         tuple(doubts),
         doors_m=doors,

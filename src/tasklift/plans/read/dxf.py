@@ -7,6 +7,7 @@ doors, furniture, dimensions, text and the like.
 from __future__ import annotations
 
 import io
+import logging
 import re
 from typing import Any
 
@@ -83,6 +84,7 @@ def _drawing(source: Source) -> Any:
         import ezdxf
     except ImportError as error:
         raise TaskliftError("ezdxf is not installed; type: pip install 'tasklift[dxf]'") from error
+    logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # what is wrong is said in our one line
     if source.head.startswith(b"AutoCAD Binary DXF"):
         raise source.fault("is a binary DXF; save it as text (ASCII) DXF")
     try:

@@ -119,8 +119,10 @@ def output_file(path: PathLike, suffixes: Collection[str] = (), *, force: bool =
                 raise TaskliftError(f"{target}: is read by this command, and never written; choose another name")
         if target.is_dir():
             raise TaskliftError(f"{target}: is a folder; expected the name of a file")
-        if os.path.lexists(target) and not force:
-            raise TaskliftError(_is_there(target))
+        with suppress(FileNotFoundError):
+            os.lstat(target)  # a link counts, wherever it leads; a name that cannot be is an error here
+            if not force:
+                raise TaskliftError(_is_there(target))
         if not target.parent.is_dir():
             raise TaskliftError(f"{target}: the folder {target.parent} does not exist; make it, or choose another")
     except (OSError, ValueError, RuntimeError) as error:  # a name too long, a NUL, links in a ring

@@ -1,0 +1,12 @@
+"""What a command prints: as text, whatever a file or a user put into it."""
+
+from __future__ import annotations
+
+import click
+
+from tasklift.text import printable
+
+
+def say(text: object, *, err: bool = False) -> None:
+    """Print lines; control characters within them, which a terminal would obey, are spelled out."""
+    click.echo("\n".join(printable(line) for line in str(text).split("\n")), err=err)

@@ -128,7 +128,8 @@ def output_file(path: PathLike, suffixes: Collection[str] = (), *, force: bool =
     except (OSError, ValueError, RuntimeError) as error:  # a name too long, a NUL, links in a ring
         if isinstance(error, TaskliftError):
             raise
-        raise TaskliftError(f"{target}: cannot be a file's name ({error})") from error
+        reason = getattr(error, "strerror", None) or error
+        raise TaskliftError(f"{target}: cannot be a file's name ({reason})") from error
     return target
 
 

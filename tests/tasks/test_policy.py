@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -416,3 +419,44 @@ def test_a_policy_reads_as_lines_and_as_a_table():
     ]
     values = Policy(task, np.array([[-1.0, -3.0], [2.0, 0.0]]), kind="value")
     assert list(values.describe(top=1)) == ["near=0: 100% act=stop", "near=1: 100% act=stop"]
+
+
+KILLED = """
+import sys
+from itertools import cycle
+import numpy as np
+from tasklift.tasks import policy as module
+from tasklift.tasks.policy import Policy
+from tasklift.tasks.task import Task, Variable
+
+module.LARGEST_JSON = int(sys.argv[2])
+task = Task("t", (Variable("x", range(400)),), (Variable("y", range(50)),))
+policies = [Policy(task, np.full(task.shape, float(value))) for value in (1, 2, 3)]
+policies[0].save(sys.argv[1])
+print("ready", flush=True)
+for policy in cycle(policies):
+    policy.save(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize("largest_json", [10, 10**6], ids=["beside", "within"])
+def test_a_policy_whose_writer_is_killed_is_whole(largest_json: int, tmp_path: Path) -> None:
+    path, rng = tmp_path / "policy.json", np.random.default_rng(largest_json)
+    seen = set()
+    for _ in range(6):
+        command = [sys.executable, "-c", KILLED, str(path), str(largest_json)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+            time.sleep(rng.uniform(0, 0.1))
+            process.kill()
+        policy = Policy.load(path)
+        seen.add(value := policy.weights[0, 0])
+        assert (policy.weights == value).all()
+    assert seen <= {1.0, 2.0, 3.0}
+    monkey = pytest.MonkeyPatch()
+    with monkey.context() as patch:
+        patch.setattr(module, "LARGEST_JSON", largest_json)
+        patch.setattr(module, "AN_HOUR_S", -1.0)
+        Policy(policy.task, policy.weights + 1).save(path)
+    assert len(list(tmp_path.iterdir())) == 1 + (largest_json == 10), "nothing is left of those killed"

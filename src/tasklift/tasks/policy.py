@@ -16,6 +16,7 @@ import io
 import json
 import os
 import re
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -53,6 +54,8 @@ SELECTIONS: tuple[Selection, ...] = ("exploration", "pseudo-random", "exploitati
 
 LARGEST_JSON = 100_000
 """Policies with more weights than this keep them in an NPZ file beside the JSON file."""
+
+AN_HOUR_S = 3600.0
 
 LARGEST_ARRAYS = 256_000_000
 """Bytes of all arrays of a policy together: reading them takes twice as much memory."""
@@ -317,11 +320,11 @@ class Policy:
             plain(json.loads(canonical_json(document)), str(target))
         except (TypeError, ValueError, RecursionError) as error:
             raise TaskliftError(f"{target}: the provenance is not JSON data ({error})") from error
-        before = None
+        before: set[str] = set()
         if self.weights.size > LARGEST_JSON:
             if target.suffix == ".npz":
                 raise TaskliftError(f"{target}: the suffix .npz is taken by the weights; save to a .json file")
-            before = _weights_file(target)
+            before = _weights_files(target)
             document["arrays"] = _write_arrays(target, arrays)
         else:
             document["outputs"] = [self.task.output_values(a) for a in range(self.task.shape[1])]
@@ -331,8 +334,8 @@ class Policy:
             ]
         document["checksum"] = _checksum(document)
         write_atomically(target, _readable(document))
-        if before is not None and before.name != document["arrays"]["file"]:
-            _remove_unless_used(before)
+        if before:
+            _remove_unused(target.parent, before)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], task: Task | None = None) -> Policy:
@@ -485,21 +488,33 @@ def _write_arrays(target: Path, arrays: Mapping[str, Weights]) -> dict[str, str]
     return {"file": name, "sha256": content}
 
 
-def _weights_file(path: Path) -> Path | None:
-    """Return the weights file that a policy file names, if it does."""
+def _weights_files(path: Path) -> set[str]:
+    """Return the names of weights files that a policy file will not need once it is replaced.
+
+    The one that it names, and those that killed writers left; a young one may be a living writer's.
+    """
+    pattern = re.compile(rf"{re.escape(path.stem)}-[0-9a-f]{{16}}\.npz")
+    found = set()
+    with suppress(OSError):
+        found = {
+            file.name
+            for file in path.parent.iterdir()
+            if pattern.fullmatch(file.name) and time.time() - file.stat().st_mtime > AN_HOUR_S
+        }
     with suppress(TaskliftError, KeyError, TypeError):
         name = parse_json(read_text(path), str(path))["arrays"]["file"]
-        if re.fullmatch(rf"{re.escape(path.stem)}-[0-9a-f]{{16}}\.npz", name):
-            return path.with_name(name)
-    return None
+        if pattern.fullmatch(name):
+            found.add(name)
+    return found
 
 
-def _remove_unless_used(file: Path) -> None:
-    """Remove the weights of a policy that was replaced, unless a copy of it is still there."""
-    name = file.name.encode()
+def _remove_unused(folder: Path, names: set[str]) -> None:
+    """Remove weights files, but for those that a policy in the folder names: the new one, or a copy of the old."""
     with suppress(OSError, TaskliftError):
-        if not any(name in read_bytes(other) for other in file.parent.glob("*.json")):
-            file.unlink()
+        used = [read_bytes(file) for file in folder.glob("*.json")]
+        for name in names:
+            if not any(name.encode() in content for content in used):
+                (folder / name).unlink()
 
 
 def _read_arrays(path: Path, beside: Mapping[str, Any], task: Task) -> dict[str, Weights]:

@@ -43,7 +43,7 @@ class Regressor(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """A policy held by a function from inputs to weights in place of a table.
+    """A policy that is a function from inputs to weights, in place of a table.
 
     Made by :func:`approximate` from a policy, by :func:`learn_approximate` from experience, or by :meth:`extend`.
     """
@@ -88,7 +88,7 @@ class Approximation:
         inputs
             Over these; default: all of them.
         max_leaves
-            The tree may have so many ends; see :func:`fidelity` for what that costs.
+            Largest number of the tree's ends; see :func:`fidelity` for what that costs.
         """
         positions = _all_positions(self.task) if inputs is None else self.task.input_positions(inputs)
         small = _Tree(positions, self.rows(positions), max_leaves, 1)
@@ -126,9 +126,26 @@ def approximate(
         ``"tree"``: splits on the order of each variable's values; exact if it may grow. ``"network"``: a perceptron
         on one-hot inputs.
     max_leaves
-        Of a tree.
+        Of a tree; None: as many as it takes.
     hidden
         Sizes of a network's hidden layers.
+    seed
+        Of a network's start.
+
+    Raises
+    ------
+    TaskliftError
+        For another kind, a number out of range, or without the extra ``approx``.
+
+    Examples
+    --------
+    >>> from tasklift import Policy
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
+    >>> policy = Policy.equal(hunt.task)
+    >>> tree = approximate(policy, "tree", max_leaves=8)
+    >>> fidelity(policy, tree).same_best
+    1.0
     """
     positions = _all_positions(policy.task)
     if kind not in get_args(Kind):
@@ -158,6 +175,20 @@ def fidelity(
         float64 (S,) or (S, A); default: what the policy carries, if it does.
     world
         Where both are played greedily, over ``trials`` trials with the same seeds.
+
+    Returns
+    -------
+    Fidelity
+        Shares of inputs, and mean returns; NaN for what was not asked.
+
+    Raises
+    ------
+    TaskliftError
+        If a number is out of range.
+
+    Examples
+    --------
+    See :func:`approximate`.
     """
     found = approximation.rows(_all_positions(policy.task)).argmax(axis=1)
     best = policy.weights[np.arange(len(found)), found] == policy.weights.max(axis=1)
@@ -228,12 +259,37 @@ def learn_approximate(
         What to begin with, an extended approximation for example; default: zero everywhere.
     task
         What to learn without a start: the world's task or a simplification.
-    rounds, trials, epsilon
-        So many rounds, of so many trials each, with that share of even choices.
+    rounds
+        Number of rounds.
+    trials
+        Trials per round.
+    epsilon
+        Probability of a uniformly random output.
     sweeps
         Fits per round, each one step further ahead.
     leaf
-        A tree's leaf holds at least so many experiences.
+        Least number of experiences in a tree's leaf.
+
+    Raises
+    ------
+    TaskliftError
+        For another kind, a number out of range, or without the extra ``approx``.
+
+    Examples
+    --------
+    >>> from tasklift import Step, Task, Variable
+    >>> class Walk:  # five places in a row; the last one is home
+    ...     task = Task("walk", (Variable("place", range(5)),), (Variable("go", ("left", "right")),))
+    ...     limit = 50
+    ...     def start(self, rng):
+    ...         self.place = 0
+    ...         return self.place
+    ...     def step(self, output):
+    ...         self.place = max(0, self.place + (1 if output else -1))
+    ...         return Step(self.place, -1.0, ended=self.place == 4, success=self.place == 4)
+    >>> curve = learn_approximate(Walk(), rounds=4, trials=10, seed=0)
+    >>> curve.approximation.best([0, 1, 2, 3]).tolist()
+    [1, 1, 1, 1]
     """
     for name, value in (("rounds", rounds), ("trials", trials), ("sweeps", sweeps), ("leaf", leaf)):
         whole_number(value, f"learn_approximate, {name}", least=1)

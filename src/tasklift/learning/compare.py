@@ -140,7 +140,7 @@ def compare(
     curriculum
         Its last stage is the target.
     seeds, seed
-        So many, counting up from ``seed``.
+        Number of runs, and the first seed; runs use ``seed``, ``seed + 1``, …
     performance
         What is judged beside losses; default: returns where the world gives them, else steps.
     first, last
@@ -149,6 +149,34 @@ def compare(
         Of performance: also report what is lost until the mean of ``first`` trials is that good.
     progress
         Called after each seed with the number of seeds done, and of all.
+
+    Returns
+    -------
+    Comparison
+        The findings, each with its verdict; ``print`` it.
+
+    Raises
+    ------
+    TaskliftError
+        For whatever :meth:`.Curriculum.check` finds, numbers out of range, a last stage without a budget of its own,
+        or a cap that stopped the curriculum before its last stage.
+
+    Examples
+    --------
+    >>> from tasklift import Curriculum, Stage, Step, Task, ValueLearning, Variable
+    >>> class Walk:  # five places in a row; the last one is home
+    ...     task = Task("walk", (Variable("place", range(5)),), (Variable("go", ("left", "right")),))
+    ...     limit = 50
+    ...     def start(self, rng):
+    ...         self.place = 0
+    ...         return self.place
+    ...     def step(self, output):
+    ...         self.place = max(0, self.place + (1 if output else -1))
+    ...         return Step(self.place, -1.0, ended=self.place == 4, success=self.place == 4)
+    >>> stages = [Stage(name, Walk.task, Walk(), ValueLearning(), trials=20) for name in ("before", "after")]
+    >>> comparison = compare(Curriculum(stages), seeds=8)
+    >>> comparison.finding("losses, target only").curriculum
+    0.0
 
     Notes
     -----

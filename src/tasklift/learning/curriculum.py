@@ -65,16 +65,16 @@ class Curriculum:
     Examples
     --------
     >>> from tasklift import Curriculum, Reinforcement, Stage, Sweep, swap
-    >>> from tasklift.building import SCOUT, WEAPON, Mission, generate
-    >>> hunt = Mission(generate(seed=7), team={SCOUT: 10, WEAPON: 5}, hostiles=1)
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
     >>> safe = hunt.task.simplify(fix={"DL": 0, "GL": 0})
     >>> stop_at_doors = swap("MV", when={"FTR": 4, "nWPN": [0, 1]})
     >>> run = Curriculum([
     ...     Stage("V", safe, hunt.without_hostiles(), Sweep(repeats=1)),
     ...     Stage("T", hunt.task, hunt, Reinforcement(), trials=20, prior=[stop_at_doors]),
     ... ], max_losses=60).run(seed=0)
-    >>> [(entry.stage, entry.trials) for entry in run.ledger.entries]
-    [('V', 44), ('T', 20)]
+    >>> [(entry.stage, entry.trials) for entry in run.ledger.entries], run.stopped  # no trial begins after 60 losses
+    ([('V', 44), ('T', 13)], 'T')
     """
 
     stages: Sequence[Stage]

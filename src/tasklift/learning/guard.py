@@ -34,11 +34,24 @@ _STAKES = 0.98 * 2.0 ** -np.arange(8)
 class SequentialTest:
     """Says whether differences in [−1, 1] lean above or below zero; may be asked after every one of them.
 
+    Source: Waudby-Smith & Ramdas, "Estimating means of bounded random variables by betting" (JRSS B, 2024).
+
     Parameters
     ----------
     alpha
-        The chance, at most, of ever saying "helps" where there is no gain; and, apart from that, of ever
+        The largest probability of ever saying "helps" where there is no gain; and, apart from that, of ever
         saying "hurts" where there is no harm.
+
+    Raises
+    ------
+    TaskliftError
+        If ``alpha`` is not between 0 and 1.
+
+    Examples
+    --------
+    >>> test = SequentialTest(alpha=0.05)
+    >>> [test.update(1.0) for _ in range(9)][-1], test.pairs
+    ('helps', 9)
     """
 
     def __init__(self, alpha: float = 0.05) -> None:
@@ -78,12 +91,12 @@ class Guard:
     measure
         What is compared, trial by trial: fewer losses, a higher return, fewer steps, or more successes.
     share
-        Of the stage's budget, for the scratch control.
+        Of the stage's budget, for the control that learns from scratch; above 0, at most 0.5.
     alpha
         See :class:`SequentialTest`.
     window
-        Compare what happens in so many steps, the k-th window of one with the k-th of the other, in place of
-        trial with trial: fair where a trial that fails early is short, and the next one begins at once.
+        Compare windows of this many steps, the k-th of one with the k-th of the other, in place of trials. This is
+        fair where a trial that fails early is short, and the next one begins at once.
     bound
         The largest difference there can be: then means are compared, and differences beyond it count as it.
         None: only signs are compared ("better in more pairs than worse"), which needs no bound.
@@ -91,6 +104,25 @@ class Guard:
         ``"fall back"``: the control takes over, with what is left of the budget. ``"decay"``: what was
         transferred gives way: the learner moves half-way to the control, and the test begins anew.
         ``"report"``: nothing.
+
+    Raises
+    ------
+    TaskliftError
+        If a setting is out of its range.
+
+    Examples
+    --------
+    >>> from tasklift import Curriculum, Guard, Reinforcement, Stage, Sweep
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
+    >>> safe = hunt.task.simplify(fix={"DL": 0, "GL": 0})
+    >>> guard = Guard("losses", share=0.25)
+    >>> run = Curriculum([
+    ...     Stage("V", safe, hunt.without_hostiles(), Sweep(repeats=1)),
+    ...     Stage("T", hunt.task, hunt, Reinforcement(), trials=40, guard=guard),
+    ... ]).run(seed=0)
+    >>> run.guards["T"].verdict
+    "can't tell yet"
     """
 
     measure: Measure = "losses"

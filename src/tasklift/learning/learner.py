@@ -100,6 +100,7 @@ class Run:
 
         Examples
         --------
+        >>> from tasklift.learning.worlds import outcomes_of
         >>> run, parts = Run(trials=3), []
         >>> while (left := run.rest(parts)) is not None:
         ...     parts.append(outcomes_of([(12, True, 0, 1.0)], limit=30))  # learn from trial left.first_trial

@@ -39,6 +39,29 @@ class Model:
         lost, and whether the trial then counts as a success.
     limit
         The most steps of a trial.
+
+    Raises
+    ------
+    TaskliftError
+        If shapes do not fit, probabilities do not sum to one, or a state or input does not exist.
+
+    Examples
+    --------
+    Two places: *go* leads home with probability 0.5, *wait* stays; each step costs 1.
+
+    >>> import numpy as np
+    >>> from tasklift import Model, Task, Variable
+    >>> task = Task("home", (Variable("place", ("out", "home")),), (Variable("move", ("wait", "go")),))
+    >>> shape, home = (2, 2, 2), np.array([[[0, 0], [0, 1]], [[1, 1], [1, 1]]])
+    >>> model = Model(
+    ...     task, rows=np.array([0, 1]), start_probability=np.array([1.0, 0.0]), probability=np.full(shape, 0.5),
+    ...     after=home, reward=np.full(shape, -1.0), ended=home == 1, lost=np.zeros(shape, int), success=home == 1,
+    ...     limit=100,
+    ... )
+    >>> round(model.optimum(), 6)
+    -2.0
+    >>> task.output_values(int(model.best_policy().best()[0]))
+    {'move': 'go'}
     """
 
     task: Task

@@ -30,7 +30,7 @@ _hints = cache(get_type_hints)  # slow, and settings are made by the thousand
 
 @dataclass(frozen=True)
 class Reinforcement:
-    """The learner's settings; the defaults are the reading of the paper that the presets use.
+    """Learn by reinforcement of weights (sections V and VI); the defaults are the reading that the presets use.
 
     Parameters
     ----------
@@ -50,7 +50,22 @@ class Reinforcement:
     selection, q
         How outputs are chosen; ``q`` is the share of heaviest choices in ``"pseudo-random"``.
     loss_signal
-        Added, once per loss, to the input and output that led to it; 0 is the paper.
+        Added, once per loss, to the input and output that led to it; a penalty, at most 0. The paper has none (0).
+
+    Raises
+    ------
+    TaskliftError
+        If a setting has another type or range; names it, and says what was found.
+
+    Examples
+    --------
+    >>> from tasklift import Policy, Reinforcement, Run
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
+    >>> learner = Reinforcement(selection="pseudo-random", q=0.9, loss_signal=-0.5)
+    >>> curve = learner.learn(hunt, learner.start(hunt.task), Run(seed=0, trials=20, max_losses=200))
+    >>> len(curve.outcomes), curve.policy.weights.shape
+    (20, (90, 44))
     """
 
     initial_weight: float = 1.5
@@ -151,8 +166,15 @@ class Sweep:
 
     Examples
     --------
-    >>> Sweep(repeats=5).trials(task_with_44_outputs)
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
+    >>> safe = hunt.task.simplify(fix={"DL": 0, "GL": 0})
+    >>> learner = Sweep(repeats=5)
+    >>> learner.trials(safe)
     220
+    >>> curve = learner.learn(hunt.without_hostiles(), learner.start(safe), Run(stage=SWEEP_STAGE))
+    >>> int(curve.outcomes.losses.sum())
+    0
     """
 
     reinforcement: Reinforcement = Reinforcement()
@@ -251,10 +273,23 @@ def sweep(
     initial
         Start from this policy of ``task``; default: equal weights.
 
+    Returns
+    -------
+    Policy
+        Of ``task``, float64 weights (S, A).
+
     Raises
     ------
     TaskliftError
         If ``initial`` is of another task, or a number is out of range.
+
+    Examples
+    --------
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
+    >>> safe = hunt.task.simplify(fix={"DL": 0, "GL": 0})
+    >>> sweep(hunt.without_hostiles(), safe, repeats=1).extend(hunt.task).weights.shape
+    (90, 44)
     """
     learner = Sweep(reinforcement, repeats)
     start = learner.start(task) if initial is None else initial
@@ -286,10 +321,26 @@ def reinforce(
     **run
         The other fields of :class:`.Run`: ``seed``, ``stage``, ``first_trial``, ``steps``, ``max_losses``.
 
+    Returns
+    -------
+    Curve
+        The policy learned, and the outcomes of the trials.
+
     Raises
     ------
     TaskliftError
         For a policy of values, or a number out of range.
+
+    Examples
+    --------
+    >>> from tasklift import Policy
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
+    >>> first = reinforce(hunt, Policy.equal(hunt.task), trials=15, seed=1)
+    >>> rest = reinforce(hunt, first.policy, trials=5, seed=1, first_trial=15)
+    >>> whole = reinforce(hunt, Policy.equal(hunt.task), trials=20, seed=1)
+    >>> bool((rest.policy.weights == whole.policy.weights).all())
+    True
     """
     return reinforcement.learn(world, policy, Run(trials=trials, **run))
 
@@ -355,7 +406,12 @@ class StepTrials:
     """Reinforcement of weights on a world that is met step by step, as a world of whole trials.
 
     The signals are the task's rules, not the world's rewards; a loss adds the ``loss_signal`` to the pair that led
-    to it. The decision is made at every step.
+    to it. The decision is made at every step. Learners of weights wrap such worlds by themselves.
+
+    Parameters
+    ----------
+    world
+        A world of :class:`.Steps`.
     """
 
     def __init__(self, world: Steps) -> None:

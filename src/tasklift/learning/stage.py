@@ -62,8 +62,8 @@ class Stage:
     A drill of 300 episodes with harmless hostiles, before the real ones:
 
     >>> from tasklift import Reinforcement, Stage
-    >>> from tasklift.building import SCOUT, WEAPON, Mission, generate
-    >>> hunt = Mission(generate(seed=7), team={SCOUT: 10, WEAPON: 5}, hostiles=1)
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
     >>> drill = Stage("drill", hunt.task, hunt.with_reading(drill=True), Reinforcement(), trials=300, rehearsal=True)
     """
 

@@ -52,6 +52,28 @@ class ValueLearning:
         Above 0: softmax in place of greedy choice.
     initial_value
         Of every pair; one above what can be reached makes an optimistic start.
+
+    Raises
+    ------
+    TaskliftError
+        If a setting is out of its range; names it, and says what was found.
+
+    Examples
+    --------
+    >>> from tasklift import Run, Step, Task, ValueLearning, Variable
+    >>> class Walk:  # five places in a row; the last one is home
+    ...     task = Task("walk", (Variable("place", range(5)),), (Variable("go", ("left", "right")),))
+    ...     limit = 50
+    ...     def start(self, rng):
+    ...         self.place = 0
+    ...         return self.place
+    ...     def step(self, output):
+    ...         self.place = max(0, self.place + (1 if output else -1))
+    ...         return Step(self.place, -1.0, ended=self.place == 4, success=self.place == 4)
+    >>> learner = ValueLearning("sarsa", step_size=0.5, epsilon=0.2, epsilon_decay=0.9)
+    >>> curve = learner.learn(Walk(), learner.start(Walk.task), Run(seed=0, trials=60))
+    >>> int(curve.outcomes.steps[-1])
+    4
     """
 
     rule: Literal["q-learning", "sarsa", "expected-sarsa"] = "q-learning"
@@ -171,10 +193,31 @@ def learn_values(
         The fields of :class:`.Run`: ``trials`` or ``steps`` or both, ``seed``, ``stage``, ``first_trial``,
         ``max_losses``.
 
+    Returns
+    -------
+    Curve
+        The policy of values learned, and the outcomes of the trials, with their returns.
+
     Raises
     ------
     TaskliftError
         For a policy of weights, a missing budget, or a number out of range.
+
+    Examples
+    --------
+    >>> from tasklift import Step, Task, Variable
+    >>> class Walk:  # five places in a row; the last one is home
+    ...     task = Task("walk", (Variable("place", range(5)),), (Variable("go", ("left", "right")),))
+    ...     limit = 50
+    ...     def start(self, rng):
+    ...         self.place = 0
+    ...         return self.place
+    ...     def step(self, output):
+    ...         self.place = max(0, self.place + (1 if output else -1))
+    ...         return Step(self.place, -1.0, ended=self.place == 4, success=self.place == 4)
+    >>> curve = learn_values(Walk(), trials=50, seed=0, learning=ValueLearning(epsilon=0.2))
+    >>> curve.policy.best()[:4].tolist()
+    [1, 1, 1, 1]
     """
     return learning.learn(world, policy or learning.start(task or world.task), Run(**run))
 
@@ -203,10 +246,23 @@ def evaluate(
     stage, **run
         The other fields of :class:`.Run`: ``seed``, ``first_trial``, ``steps``, ``max_losses``.
 
+    Returns
+    -------
+    Outcomes
+        One entry per trial; the policy is not changed.
+
     Raises
     ------
     TaskliftError
         If a number is out of range, or the world shows an input that the policy's task leaves out.
+
+    Examples
+    --------
+    >>> from tasklift import Policy
+    >>> from tasklift.building import Mission, generate
+    >>> hunt = Mission(generate(seed=7), team="10+5")
+    >>> evaluate(hunt, Policy.equal(hunt.task), trials=10).summary()["trials"]
+    10
     """
     asked = Run(trials=trials, stage=stage, **run)
     if not isinstance(world, Steps):

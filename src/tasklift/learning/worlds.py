@@ -176,18 +176,48 @@ class Trials(Protocol):
 
 
 class Step(NamedTuple):
-    """What a world answers to one output."""
+    """What a world answers to one output.
 
-    input: int  # the next input, an index of the world's task
+    Attributes
+    ----------
+    input
+        The next input, an index of the world's task.
+    reward
+        Of this step; reinforcement of weights does not use it.
+    ended
+        Whether the trial is over: nothing comes after.
+    lost
+        How much this step lost (fell, crashed, destroyed), as the user counts it.
+    success
+        Whether the trial has succeeded.
+    """
+
+    input: int
     reward: float
-    ended: bool  # for good: nothing comes after
-    lost: int = 0  # what this step lost (fell, crashed, destroyed), as the user counts it
+    ended: bool
+    lost: int = 0
     success: bool = False
 
 
 @runtime_checkable
 class Steps(Protocol):
-    """A world that is met step by step."""
+    """A world that is met step by step; :func:`tasklift.testing.check_world` tests one.
+
+    Examples
+    --------
+    >>> from tasklift import Step, Task, Variable
+    >>> class Walk:
+    ...     task = Task("walk", (Variable("place", range(5)),), (Variable("go", ("left", "right")),))
+    ...     limit = 50
+    ...     def start(self, rng):
+    ...         self.place = 0
+    ...         return self.place
+    ...     def step(self, output):
+    ...         self.place = max(0, self.place + (1 if output else -1))
+    ...         return Step(self.place, -1.0, ended=self.place == 4, success=self.place == 4)
+    >>> from tasklift.testing import check_world
+    >>> check_world(Walk())
+    """
 
     @property
     def task(self) -> Task:
@@ -225,7 +255,13 @@ class View:
         self.columns: list[int] = task.output_columns(ancestor).tolist()
 
     def row(self, input: int) -> int:
-        """Return the task's row for an input of the world; rows are looked up as they turn up."""
+        """Return the task's row for an input of the world; rows are looked up as they turn up.
+
+        Raises
+        ------
+        TaskliftError
+            If the task leaves that input out.
+        """
         if input not in self._rows:
             values = self._full.input_values(input)
             row = self.task.row_of(values)

@@ -15,6 +15,7 @@ _HOMES = {
     "learning.chances": ("Chances",),
     "learning.learner": ("Curve", "InTurn", "Learner", "Run"),
     "learning.reinforcement": ("Fixed", "Reinforcement", "StepTrials", "Sweep", "reinforce", "sweep"),
+    "learning.search": ("PolicySearch",),
     "learning.model": ("Model",),
     "learning.values": ("ValueLearning", "evaluate", "learn_values"),
     "learning.guard": ("Guard",),

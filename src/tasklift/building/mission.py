@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.building.search import hostile_candidates
 from tasklift.building.setting import Setting
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import GREEDY_STAGE
@@ -64,6 +65,11 @@ class Mission(Setting):
         """Return the safe version: the same building and team, nothing hidden, hence nothing to suspect."""
         return dataclasses.replace(self, hostiles=0)
 
+    def drill(self) -> Mission:
+        """Return practice: a hostile at every place where one may hide, which repels instead of destroying."""
+        places = tuple(hostile_candidates(self.building))
+        return dataclasses.replace(self, hostiles=places).with_reading(drill=True)
+
     def with_reading(self, **options: Any) -> Mission:
         """Return the same mission under a reading with some options changed."""
         return dataclasses.replace(self, reading=dataclasses.replace(self.reading, **options))
@@ -79,6 +85,11 @@ class Mission(Setting):
     def run(self) -> Callable[..., SearchOutcomes]:
         """Run trials, as :class:`~tasklift.learning.worlds.Trials` asks: :meth:`Simulator.run`."""
         return self.simulator.run
+
+    @property
+    def run_many(self) -> Callable[..., SearchOutcomes]:
+        """Run trials of many policies in one compiled call: :meth:`Simulator.run_many`."""
+        return self.simulator.run_many
 
     def evaluate(
         self,

@@ -476,6 +476,19 @@ def test_the_wheel_zooms_and_dragging_moves(show, document):
 # --- both kinds of windows -------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("size", [(1280, 640), (1024, 768), (900, 900)])
+def test_plans_side_by_side_have_one_scale(show, three, size):
+    document = copy.deepcopy(three)
+    document["traces"][2]["label"] = "an arm whose name is so long that the head of its panel wraps at any width"
+    tab = ready(show(document, step=40, size=size))
+    heads, plans = tab.evaluate("""() => ["header", ".plan"].map((part) => tasklift.panels.map(({ element }) => {
+      const { width, height } = element.querySelector(part).getBoundingClientRect();
+      return [width, height];
+    }))""")
+    assert np.ptp(np.round(plans), axis=0).max() <= 1, plans
+    assert max(height for _, height in heads) > 1.5 * 24, "no head wrapped: the test shows nothing"
+
+
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_everything_fits_the_window(show, three, size, scheme):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import webbrowser
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 ADDRESS = "127.0.0.1"
 
@@ -17,6 +19,11 @@ class _Server(ThreadingHTTPServer):
         super().__init__((ADDRESS, 0), _Handler)  # port 0: a free one
         self.body = html.encode("utf-8", errors="replace")
         self.url = f"http://{ADDRESS}:{self.server_port}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a tab that was closed or reloaded before it had the page."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tasklift.checks import number, whole_number
 from tasklift.errors import TaskliftError
-from tasklift.learning.learner import Curve, Run, provenance, totals
+from tasklift.learning.learner import Curve, Run, provenance
 from tasklift.learning.reinforcement import Reinforcement, StepTrials
 from tasklift.learning.worlds import Outcomes, Steps, Trials, joined
 from tasklift.tasks.policy import Policy
@@ -131,11 +131,13 @@ class PolicySearch:
         mean = marginals(task, policy.weights)
         concentration = float(policy.carried.get("concentration", self.concentration))
         parts: list[Outcomes] = []
-        while self._another(run, parts):
+        full = self.population * self.episodes
+        while (left := run.rest(parts)) is not None and (left.trials or 0) >= full:
             candidates = [_around(vector, concentration, self.population, rng) for vector in mean]
-            played = self._play(world, task, product(candidates), run, parts)
+            generation = replace(left, first_trial=run.first_trial + self.episodes * len(parts))
+            played = self._play(world, task, product(candidates), generation)
             parts.append(played)
-            if len(played) < self.population * self.episodes:
+            if len(played) < full:
                 break  # the cap on losses was reached: what is left of the generation is never played
             self._move(mean, candidates, played)
         outcomes = joined(parts)
@@ -144,33 +146,24 @@ class PolicySearch:
         carried = {name: value for name, value in policy.carried.items() if name != "concentration"}
         return Curve(Policy(task, weights, told, "weight", carried), outcomes)
 
-    def _another(self, run: Run, parts: Sequence[Outcomes]) -> bool:
-        """Return whether the budget has room for another generation."""
-        trials, steps, losses = totals(parts)
-        left = run.trials is not None and trials + self.population * self.episodes <= run.trials
-        return left and run.goes_on(trials, steps, losses)
-
-    def _play(
-        self, world: Trials | Steps, task: Task, tables: Floats, run: Run, before: Sequence[Outcomes]
-    ) -> Outcomes:
-        """Play the generation's episodes with each table, float64 (P, S, A); return the outcomes (P · n,)."""
+    def _play(self, world: Trials | Steps, task: Task, tables: Floats, run: Run) -> Outcomes:
+        """Play the first episodes of ``run`` with each table, float64 (P, S, A); return the outcomes (P · n,)."""
         trials_of: Any = StepTrials(world) if isinstance(world, Steps) else world
         key = {
+            "trials": self.episodes,
             "stage": run.stage,
-            "first_trial": run.first_trial + self.episodes * len(before),
+            "first_trial": run.first_trial,
             "reinforcement": _AS_DRAWN,
             "learn": False,
-            "trials": self.episodes,
         }
         if run.max_losses is None and hasattr(trials_of, "run_many"):
             return _flat(trials_of.run_many(task, tables, seeds=[run.seed] * len(tables), **key))
         parts: list[Outcomes] = []
-        left = run.max_losses and run.max_losses - totals(before)[2]
         for table in tables:
-            cap = left and left - totals(parts)[2]
-            parts.append(trials_of.run(task, table, seed=run.seed, max_losses=cap, **key))
-            if left and totals(parts)[2] >= left:
+            left = replace(run, steps=None).rest(parts)
+            if left is None:
                 break
+            parts.append(trials_of.run(task, table, seed=run.seed, max_losses=left.max_losses, **key))
         return joined(parts)
 
     def _move(self, mean: list[Floats], candidates: list[Floats], played: Outcomes) -> None:

@@ -19,6 +19,7 @@ from tasklift.building.generate import generate
 from tasklift.building.graph import DOOR, INTERSECTION, ROOM, Building
 from tasklift.errors import TaskliftError
 from tasklift.plans.read import load_building
+from tasklift.style import GROUND, SCENE
 
 MAPS = Path(__file__).parents[3] / "shared" / "maps" / "patrolling_sim"
 
@@ -106,7 +107,7 @@ def test_the_graph_shows_every_node_and_edge():
     assert sorted(shown) == sorted(map(tuple, building.position_m.tolist()))
     (edges,) = [c for c in ax.collections if isinstance(c, LineCollection)]
     assert len(edges.get_segments()) == building.n_edges
-    dark = [line for line in ax.lines if line.get_markerfacecolor() == "#22262e"]
+    dark = [line for line in ax.lines if line.get_markerfacecolor() == GROUND["ink"][0]]
     assert len(dark[0].get_xdata()) == np.sum(building.kind == INTERSECTION)
     assert legend_of(ax) == ["intersection", "room", "door", "other feature", "start", "hostile"]
     assert ax.get_aspect() == 1.0
@@ -116,7 +117,7 @@ def test_the_plan_shows_doors_across_their_corridors():
     building = generate(seed=2)
     ax = Figure().subplots()
     draw_plan(building, ax)
-    ticks = [line for line in ax.lines if line.get_color() == "#b45309"]
+    ticks = [line for line in ax.lines if line.get_color() == SCENE["door"][0]]
     doors = np.flatnonzero(building.feature_class == DOOR)
     assert len(ticks) == len(doors)
     for door, tick in zip(doors, ticks, strict=True):

@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 
 from tasklift.building.graph import DOOR, FEATURE, INTERSECTION, LARGEST_M, ROOM, Building
 from tasklift.errors import TaskliftError
+from tasklift.style import GROUND, SCENE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Dark to light in print as well; red and green differ in lightness for colour-blind readers
-_INK, _WALL, _CORRIDOR, _ROOM, _GROUND = "#22262e", "#3b414d", "#ffffff", "#f3e7cf", "#e9ecf0"
+_INK = GROUND["ink"][0]
+_WALL, _CORRIDOR, _ROOM, _GROUND = (SCENE[name][0] for name in ("wall", "floor", "room", "ground"))
+_FEATURE, _DOOR, _START, _HOSTILE = (SCENE[name][0] for name in ("mark", "door", "safe", "danger"))
+_EDGE = GROUND["soft"][0]
 _SMALLEST_ROOM_M = 1.2
-_FEATURE, _EDGE, _DOOR, _START, _HOSTILE = "#9aa1ac", "#6b7280", "#b45309", "#15803d", "#b91c1c"
 
 
 def footprints(building: Building) -> dict[int, Any]:

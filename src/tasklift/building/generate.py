@@ -29,6 +29,7 @@ from tasklift.building.graph import (
     buffered_hull,
 )
 from tasklift.building.lattice import STEP, Lattice
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 
 LARGEST = 2000  # intersections; the search takes minutes beyond
@@ -110,9 +111,7 @@ def _check(intersections: int, corridors: int, rooms: int, features: int, doors:
     if doors is not None:
         given["doors"] = doors
     for key, value in given.items():
-        least = 1 if key in ("intersections", "rooms") else 0
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-            raise TaskliftError(f"generate: {key}: expected a whole number of at least {least}, found {value!r}")
+        whole_number(value, f"generate: {key}", 1 if key in ("intersections", "rooms") else 0)
     if intersections > LARGEST:
         raise TaskliftError(f"generate: intersections: expected at most {LARGEST}, found {intersections}")
     if corridors < intersections - 1:

@@ -134,8 +134,7 @@ class Building:
 
         _check_nodes(where, arrays)
         _check_edges(where, n, arrays)
-        if not _is_int(self.start) or not 0 <= self.start < n:
-            raise TaskliftError(f"{where}: start {shown(self.start)} is not a node; expected 0 to {n - 1}")
+        whole_number(self.start, f"{where}: start", 0, n - 1)
         _check_connected(where, n, arrays["edges"], int(self.start))
         if self.outline_m is None:
             arrays["outline_m"] = buffered_hull(arrays["position_m"])
@@ -492,10 +491,6 @@ def _check_outline(where: str, outline: NDArray[np.float64], position: NDArray[n
 
 
 # -- checks on JSON ---------------------------------------------------------------------------------
-
-
-def _is_int(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _check_fields(where: str, value: Any, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:

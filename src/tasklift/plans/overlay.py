@@ -11,15 +11,23 @@ from numpy.typing import NDArray
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, OTHER, ROOM, Building
 from tasklift.files import output_file, write_atomically
 from tasklift.plans.plan import Plan
+from tasklift.style import GROUND, SCENE, SERIES
 
 # Told apart by shape as well as by colour
+_COLOURS = {
+    "room": SERIES["green"][0],
+    "crossing": SERIES["blue"][0],
+    "door": SCENE["door"][0],
+    "turn": SERIES["pink"][0],
+    "other": SERIES["grey"][0],
+}
 _SIGNS: tuple[tuple[str, int, int | None, str, str, float], ...] = (
-    ("room", ROOM, None, "s", "#1b7f3b", 1.6),
-    ("junction", INTERSECTION, None, "o", "#1d4ed8", 1.0),
-    ("door", FEATURE, DOOR, "D", "#dc2626", 0.95),
-    ("bend", FEATURE, BEND, "^", "#a21caf", 0.95),
-    ("corner", FEATURE, CORNER, "v", "#a21caf", 0.95),
-    ("other feature", FEATURE, OTHER, "X", "#4b5563", 0.95),
+    ("room", ROOM, None, "s", _COLOURS["room"], 1.6),
+    ("junction", INTERSECTION, None, "o", _COLOURS["crossing"], 1.0),
+    ("door", FEATURE, DOOR, "D", _COLOURS["door"], 0.95),
+    ("bend", FEATURE, BEND, "^", _COLOURS["turn"], 0.95),
+    ("corner", FEATURE, CORNER, "v", _COLOURS["turn"], 0.95),
+    ("other feature", FEATURE, OTHER, "X", _COLOURS["other"], 0.95),
 )
 LONGEST_SIDE_INCHES = 16.0
 PIXELS_PER_INCH = 100
@@ -120,7 +128,7 @@ def _draw_graph(axes: Any, building: Building, scale: float) -> None:
     # signs about as large as half a metre, but never too small to tell apart or too large for the plan
     size = float(np.clip(0.55 * scale * 72, 4.0, 9.0))
     axes.add_collection(
-        LineCollection(list(position[building.edges]), colors="#0ea5e9", linewidths=size / 4.5, zorder=2)
+        LineCollection(list(position[building.edges]), colors=SERIES["sky"][0], linewidths=size / 4.5, zorder=2)
     )
     handles = []
     for label, kind, feature, marker, colour, factor in _SIGNS:
@@ -137,13 +145,14 @@ def _draw_graph(axes: Any, building: Building, scale: float) -> None:
         axes.plot(*position[mask].T, **style, markersize=size * factor, zorder=3)
         if mask.any():
             handles.append(Line2D([], [], **style, markersize=8, label=f"{label} ({int(mask.sum())})"))
-    ring: dict[str, Any] = {"marker": "o", "markerfacecolor": "none", "markeredgecolor": "#ea580c", "linestyle": "none"}
+    ring: dict[str, Any] = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
+    ring["markeredgecolor"] = SCENE["safe"][0]
     axes.plot(*position[building.start], **ring, markersize=size * 2.4, markeredgewidth=2, zorder=4)
     handles.append(Line2D([], [], **ring, markersize=10, markeredgewidth=2, label="start"))
     beside = size / 72 / scale  # as far as the sign is large (m); annotations with offsets would take twice the time
     for node, (x, y) in enumerate(position.tolist()):
         where = x + 0.55 * beside, y + 0.45 * beside
-        axes.text(*where, str(node), fontsize=size * 0.95, color="#111827", zorder=5, clip_on=True)
+        axes.text(*where, str(node), fontsize=size * 0.95, color=GROUND["ink"][0], zorder=5, clip_on=True)
     axes.legend(
         handles=handles,
         loc="upper center",

@@ -16,6 +16,7 @@ from row_digests import RECORDED, digest
 from tasklift.cli.learn import learn_command
 from tasklift.errors import TaskliftError
 from tasklift.files import parse_json
+from tasklift.studies import own_code
 from tasklift.studies.spec_file import curriculum_of, read_spec, run_spec
 from tasklift.tasks.policy import Policy
 
@@ -122,8 +123,92 @@ def test_a_world_of_ones_own_from_a_python_file(tmp_path: Path) -> None:
     assert comparison.finding("late return (last 20 trials)").curriculum > 0.8
     text = spec.read_text().replace("Coin", "Dime")
     spec.write_text(text)
-    with pytest.raises(TaskliftError, match="cannot find 'my_little_world:Dime'"):
+    with pytest.raises(TaskliftError, match="module 'my_little_world' has no class or function 'Dime'"):
         run_spec(spec)
+
+
+OWN = 'name = "own"\nseeds = 2\n[environment]\npython = "own_learner:Ferry"\noptions = { storms = 0.5 }\n[learner]\n'
+STAGE = '[[stages]]\nname = "a"\ntrials = 20\n'
+
+
+def beside(tmp_path: Path, text: str, module: str | None = None) -> Path:
+    (tmp_path / "own_learner.py").write_text(module or (EXAMPLES / "own_learner.py").read_text())
+    spec = tmp_path / "own.toml"
+    spec.write_text(text)
+    return spec
+
+
+def test_a_learner_of_ones_own_from_a_python_file(tmp_path: Path) -> None:
+    text = f'{OWN}python = "own_learner:RandomSearch"\nsize = 0.5\n{STAGE}'
+    last = '[[stages]]\nname = "b"\ntrials = 30\nlearner = { rule = "reinforcement", q = 0.5 }\n'
+    curriculum = curriculum_of(read_spec(beside(tmp_path, text + last)), tmp_path)
+    one, other = (stage.learner for stage in curriculum.stages)
+    assert (type(one).__name__, one.size) == ("RandomSearch", 0.5)
+    assert other.q == 0.5
+    # two specs in two folders may each have a module of the same name
+    again = tmp_path / "again"
+    again.mkdir()
+    module = (EXAMPLES / "own_learner.py").read_text().replace("size: float = 1.0", "size: float = 3.0")
+    spec = beside(again, text.replace("size = 0.5\n", ""), module)
+    assert curriculum_of(read_spec(spec), again).stages[0].learner.size == 3.0
+    assert run_spec(tmp_path / "own.toml", tmp_path / "out").seeds == 2
+
+
+@pytest.mark.parametrize(
+    ("module", "learner", "message"),
+    [
+        ("import sys\nsys.exit(3)", "", "stage 'a': environment: own_learner.py, line 2: ends the program"),
+        ("raise OSError('disk\\nfull')", "", "environment: own_learner.py, line 1: OSError: disk full"),
+        ("def Ferry(", "", "own_learner.py, line 1: SyntaxError"),
+        ("import no_such_module", "", "own_learner.py, line 1: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("while True: pass", "", "own_learner.py, line 1: was not done after 0.3 s"),
+        ("import time\ndef Ferry(storms):\n    time.sleep(60)", "", "line 3: was not done after 0.3 s"),
+        ("Ferry = 5", "", "has no class or function 'Ferry'"),
+        ("Ferry = dict", "", "makes no world: it needs a task"),
+        ("def Ferry(): pass", "", "TypeError: .*unexpected keyword argument 'storms'"),
+        ("def Ferry(storms):\n    return 1 / 0", "", "own_learner.py, line 2: ZeroDivisionError: division by zero"),
+        (None, 'python = "own_learner:Ferry"\nstorms = 0.1\n', "makes no learner: it has no learn\\(\\)"),
+        (None, 'python = "own_learner:RandomSearch"\nsice = 0.1\n', "unexpected keyword argument 'sice'"),
+        (None, 'python = "own_learner:RandomSearch"\nsize = "x"\n', "training: own_learner.py, line .*: .*Error"),
+        (None, "python = 5\n", "learner: expected text, found 5"),
+        (None, 'python = "own_learner"\n', "expected module:name, found 'own_learner'"),
+        (None, 'python = "../x:y"\n', "expected the name of a module"),
+    ],
+)
+def test_what_goes_wrong_in_code_of_ones_own_is_one_line(
+    module: str | None, learner: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_code, "LONGEST_LOAD_S", 0.3)
+    spec = beside(tmp_path, f"{OWN}{learner}{STAGE}", module)
+    result = CliRunner().invoke(learn_command, [str(spec)])
+    assert isinstance(result.exception, TaskliftError)
+    assert re.search(message, str(result.exception))
+    assert "\n" not in str(result.exception)
+    assert len(str(result.exception)) <= 300 + len(str(spec))
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        'python = "os:system"\noptions = { command = "touch RAN" }',
+        'python = "subprocess:check_output"\noptions = { args = "touch RAN", shell = true }',
+        'gymnasium = "ran_by_name:Env-v0"\noptions = {}\n[task]\ninputs = { x = 2 }\noutputs = { y = 2 }',
+    ],
+)
+def test_a_spec_alone_runs_nothing(environment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "ran_by_name.py").write_text("open('RAN', 'w').close()")
+    monkeypatch.syspath_prepend(str(elsewhere))
+    monkeypatch.chdir(tmp_path)
+    spec = tmp_path / "s.toml"
+    spec.write_text(f'name = "x"\nseeds = 2\n[environment]\n{environment}\n{STAGE}')
+    with pytest.raises(TaskliftError, match="beside the spec; other modules are imported with --allow-imports only"):
+        run_spec(spec)
+    assert not (tmp_path / "RAN").exists()
+    with pytest.raises(TaskliftError):  # it makes no world, but with the option it runs
+        run_spec(spec, allow_imports=True)
+    assert (tmp_path / "RAN").exists()
 
 
 def test_a_chain_of_three_tasks_and_other_fields(tmp_path: Path) -> None:

@@ -11,8 +11,16 @@ import click
 @click.argument("spec", type=click.Path(path_type=Path))
 @click.option("--seeds", type=click.IntRange(min=2), help="In place of the spec's number of seeds.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the comparison and the learned policy.")
-def learn_command(spec: Path, seeds: int | None, out: Path | None) -> None:
-    """Run a curriculum from a spec file (TOML), and say whether it paid."""
+@click.option(
+    "--allow-imports",
+    is_flag=True,
+    help="Let the spec name any installed module. Importing runs code. [default: only modules beside the spec]",
+)
+def learn_command(spec: Path, seeds: int | None, out: Path | None, allow_imports: bool) -> None:
+    """Run a curriculum from a spec file (TOML), and say whether it paid.
+
+    A module that lies beside the spec, and that the spec names, is code: it runs.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
@@ -21,7 +29,11 @@ def learn_command(spec: Path, seeds: int | None, out: Path | None) -> None:
     with Progress(console=Console(stderr=True), transient=True) as progress:
         bar = progress.add_task("seeds", total=None)
         comparison = run_spec(
-            spec, out, seeds, progress=lambda done, of: progress.update(bar, completed=done, total=of)
+            spec,
+            out,
+            seeds,
+            progress=lambda done, of: progress.update(bar, completed=done, total=of),
+            allow_imports=allow_imports,
         )
     click.echo(str(comparison))
     if out is not None:

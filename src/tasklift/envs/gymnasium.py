@@ -1,7 +1,7 @@
 """Any Gymnasium environment with discrete inputs and outputs as a world of ours: declare how it factors.
 
-Needs the extra ``gym`` (``pip install "tasklift[gym]"``). Nothing here imports Gymnasium itself: an
-environment is made by the user and handed over.
+Needs the extra ``gym`` (``pip install "tasklift[gym]"``). :class:`Factored` takes an environment that the user made;
+:func:`make_environment` makes a registered one by its name.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from tasklift.learning.model import Model
 from tasklift.learning.worlds import Step
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable
+from tasklift.text import one_line, shown
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,34 @@ Act = Callable[[Mapping[str, Any]], Any]
 
 def _nothing(event: Event) -> int:
     return 0
+
+
+def make_environment(name: str, options: Mapping[str, Any]) -> Any:
+    """Return a registered Gymnasium environment; unlike ``gymnasium.make``, import no module that the name holds.
+
+    Parameters
+    ----------
+    name
+        Such as ``"CliffWalking-v1"``.
+    options
+        Of the environment.
+
+    Raises
+    ------
+    TaskliftError
+        Without Gymnasium, or if there is no such environment, or it cannot be made with these options.
+    """
+    try:
+        import gymnasium
+    except ImportError as error:
+        raise TaskliftError('needs Gymnasium; type: pip install "tasklift[gym]"') from error
+    if ":" in name:
+        raise TaskliftError(f"environment: expected the name of a registered environment, found {shown(name)}")
+    try:
+        return gymnasium.make(name, **options)
+    except Exception as error:  # whatever an environment's constructor raises at options that it does not like
+        said = one_line(f"{type(error).__name__}: {error}", 150)
+        raise TaskliftError(f"environment: Gymnasium cannot make {shown(name)}: {said}") from error
 
 
 class Factored:

@@ -7,7 +7,7 @@ The whole language, by example (``docs/tutorial.md`` explains it)::
     performance = "return"                          # or "steps", "success"
 
     [environment]
-    gymnasium = "CliffWalking-v1"                   # or building = …, or python = "module:function"
+    gymnasium = "CliffWalking-v1"                   # or building = …, or python = "module:name", beside the spec
     limit = 200
     options = { is_slippery = true }
     loss = { reward = -100 }                        # when something is lost
@@ -18,8 +18,8 @@ The whole language, by example (``docs/tutorial.md`` explains it)::
     outputs = { move = ["up", "right", "down", "left"] }
 
     [learner]
-    rule = "sarsa"                                  # q-learning, sarsa, expected-sarsa or reinforcement
-    step_size = 0.5
+    rule = "sarsa"                                  # q-learning, sarsa, expected-sarsa or reinforcement; or
+    step_size = 0.5                                 # python = "module:Class" and its settings
 
     [[stages]]
     name = "dry"
@@ -36,15 +36,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from tasklift.building import Building, Mission, Reading, generate
 from tasklift.checks import check_fields
-from tasklift.envs.gymnasium import Event, Factored
+from tasklift.envs.gymnasium import Event, Factored, make_environment
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, parse_json, parse_toml, read_text, write_atomically
 from tasklift.learning.compare import Comparison, compare
@@ -54,8 +53,11 @@ from tasklift.learning.learner import Learner
 from tasklift.learning.reinforcement import Reinforcement, Sweep
 from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning
+from tasklift.learning.worlds import Steps
+from tasklift.studies.own_code import OwnCode
 from tasklift.tasks.prior import Prior, forget, invert, scale, set_weight, swap
 from tasklift.tasks.task import LARGEST_TABLE, Signal, Task, Variable
+from tasklift.text import shown
 
 _NUMBER = (int, float)
 _TASK_CHANGES = ("fix", "remove", "restrict", "signals", "impossible", "time_reward")
@@ -90,8 +92,19 @@ def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:
     return document
 
 
-def curriculum_of(document: Mapping[str, Any], folder: str | os.PathLike[str] = ".") -> Curriculum:
-    """Return the curriculum that a spec describes; files it names are looked for in ``folder``.
+def curriculum_of(
+    document: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_imports: bool = False
+) -> Curriculum:
+    """Return the curriculum that a spec describes.
+
+    Parameters
+    ----------
+    document
+        As :func:`read_spec` returns it.
+    folder
+        Where files and modules that it names are looked for. A module there is code, and runs.
+    allow_imports
+        Whether it may name any other module, too.
 
     Raises
     ------
@@ -102,7 +115,7 @@ def curriculum_of(document: Mapping[str, Any], folder: str | os.PathLike[str] = 
     stages = document["stages"]
     if not stages:
         raise TaskliftError("stages: expected at least one [[stages]]")
-    root = _declared_task(document, environment)
+    root, code = _declared_task(document, environment), OwnCode(Path(folder), allow_imports)
     built: list[Stage] = []
     after: Task | None = None
     # backwards, since each stage says how it simplifies the task of the next one
@@ -112,13 +125,14 @@ def curriculum_of(document: Mapping[str, Any], folder: str | os.PathLike[str] = 
         where = f"stage {data['name']!r}"
         try:
             changed = _merged(environment, data.get("options", {}), where)
-            world = _world(changed, root, Path(folder))
+            world = _world(changed, root, Path(folder), code)
             base = after if after is not None else world.task
             changes = {name: data[name] for name in _TASK_CHANGES if name in data}
             if "signals" in changes:
                 changes["signals"] = [_signal(s, where) for s in changes["signals"]]
             after = base.simplify(name=data["name"], **changes) if changes else base
-            learner = _learner({**document.get("learner", {}), **data.get("learner", {})}, data.get("repeats"), where)
+            settings = _settings(document.get("learner", {}), data.get("learner", {}))
+            learner = _learner(settings, data.get("repeats"), code, where)
             kept = {n: data[n] for n in _STAGE_NUMBERS if n in data}
             guard = None if "guard" not in data else _made(Guard, data["guard"], f"{where}, guard")
             prior = tuple(_prior(p, where) for p in data.get("prior", []))
@@ -127,7 +141,8 @@ def curriculum_of(document: Mapping[str, Any], folder: str | os.PathLike[str] = 
             raise TaskliftError(str(error) if where in str(error) else f"{where}: {error}") from error
     outer = {n: document[n] for n in ("max_losses", "block", "best_by") if n in document}
     curriculum = Curriculum(tuple(reversed(built)), **outer)
-    curriculum.check()
+    with code.running("stages"):
+        curriculum.check()
     return curriculum
 
 
@@ -136,6 +151,8 @@ def run_spec(
     out: str | os.PathLike[str] | None = None,
     seeds: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    allow_imports: bool = False,
 ) -> Comparison:
     """Run a spec file: the curriculum against direct learning, over seeds.
 
@@ -150,15 +167,24 @@ def run_spec(
         In place of the spec's.
     progress
         Called after each seed with the number of seeds done, and of all.
+    allow_imports
+        As in :func:`curriculum_of`.
+
+    Raises
+    ------
+    TaskliftError
+        For whatever is wrong with the spec or the folder, before anything is trained; and for what a module beside
+        the spec raises in training, with its file and line.
     """
-    document = read_spec(path)
+    document, beside = read_spec(path), Path(path).parent
     try:
-        curriculum = curriculum_of(document, Path(path).parent)
+        curriculum = curriculum_of(document, beside, allow_imports=allow_imports)
         chosen = seeds if seeds is not None else document.get("seeds", 20)
         identity = hashlib.sha256(canonical_json([document, chosen]).encode()).hexdigest()
         folder = None if out is None else _prepared(Path(out), identity)
         options = {n: document[n] for n in ("performance", "first", "last", "threshold") if n in document}
-        comparison = compare(curriculum, seeds=chosen, progress=progress, **options)
+        with OwnCode(beside).running("training"):
+            comparison = compare(curriculum, seeds=chosen, progress=progress, **options)
     except TaskliftError as error:
         raise TaskliftError(f"{path}: {error}") from error
     if folder is not None:
@@ -223,7 +249,22 @@ def _made(kind: Any, data: Mapping[str, Any], where: str) -> Any:
     return kind(**data)
 
 
-def _learner(data: Mapping[str, Any], repeats: int | None, where: str) -> Learner:
+def _settings(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a stage's settings of its learner: its own before the common ones, if both are of one kind."""
+    another = ("python" in own or "rule" in own) and ("python" in own) != ("python" in common)
+    return dict(own) if another else {**common, **own}
+
+
+def _learner(data: Mapping[str, Any], repeats: int | None, code: OwnCode, where: str) -> Learner:
+    if "python" in data:
+        rest = {name: value for name, value in data.items() if name != "python"}
+        made = code.made(_text(data["python"], f"{where}, learner"), rest, f"{where}, learner")
+        for method in ("start", "learn", "count_as"):
+            if isinstance(made, type) or not callable(getattr(made, method, None)):
+                raise TaskliftError(f"{where}, learner: {data['python']} makes no learner: it has no {method}()")
+        if repeats is not None:
+            raise TaskliftError(f"{where}: repeats= is a sweep's, which reinforces weights; give trials= or steps=")
+        return made
     if data.get("rule", "reinforcement") == "reinforcement":
         rest = {name: value for name, value in data.items() if name != "rule"}
         found = _made(Reinforcement, rest, f"{where}, learner")
@@ -286,6 +327,10 @@ def _declared_task(document: Mapping[str, Any], environment: Mapping[str, Any]) 
 
 def _merged(environment: Mapping[str, Any], options: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return the environment with a stage's options in place of its own."""
+    for held, which in ((environment, "environment"), (options, f"{where}, options")):
+        for name in ("options", "reading"):
+            if not isinstance(held.get(name, {}), dict):
+                raise TaskliftError(f"{which}: expected {name} = {{ name = value, … }}, found {shown(held[name])}")
     if "building" not in environment:
         return {**environment, "options": {**environment.get("options", {}), **options}}
     reading = {**environment.get("reading", {}), **options.get("reading", {})}
@@ -294,37 +339,32 @@ def _merged(environment: Mapping[str, Any], options: Mapping[str, Any], where: s
     return {**environment, **options} | ({"reading": reading} if reading else {})
 
 
-def _world(environment: Mapping[str, Any], task: Task | None, folder: Path) -> Any:
+def _world(environment: Mapping[str, Any], task: Task | None, folder: Path, code: OwnCode) -> Any:
     if "gymnasium" in environment and task is not None:
-        return _gymnasium(environment, task)
+        return _gymnasium(environment, task, code)
     if "building" in environment:
         return _mission(environment, folder)
     data = check_fields(environment, "environment", {"python": str, "options?": dict})
-    module, _, function = data["python"].partition(":")
-    sys.path.insert(0, str(folder.resolve()))
-    try:
-        make = getattr(import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise TaskliftError(f"environment: cannot find {data['python']!r} ({error}); give module:function") from error
-    finally:
-        sys.path.pop(0)
-    return make(**data.get("options", {}))
+    world = code.made(data["python"], data.get("options", {}), "environment")
+    with code.loading("environment"):
+        found = isinstance(getattr(world, "task", None), Task) and not isinstance(world, type)
+        if not found or not (isinstance(world, Steps) or callable(getattr(world, "run", None))):
+            raise TaskliftError(
+                f"environment: {data['python']} makes no world: it needs a task, and start(), step(), limit, or run()"
+            )
+    return world
 
 
-def _gymnasium(environment: Mapping[str, Any], task: Task) -> Any:
+def _gymnasium(environment: Mapping[str, Any], task: Task, code: OwnCode) -> Any:
     data = check_fields(
         environment,
         "environment",
         {"gymnasium": str, "options": dict, "loss?": dict, "success?": dict, "limit?": int},
     )
-    try:
-        import gymnasium
-    except ImportError as error:
-        raise TaskliftError('needs Gymnasium; type: pip install "tasklift[gym]"') from error
-    try:
-        env = gymnasium.make(data["gymnasium"], **data["options"])
-    except (gymnasium.error.Error, TypeError, ValueError, AssertionError) as error:
-        raise TaskliftError(f"environment: Gymnasium cannot make {data['gymnasium']!r}: {error}") from error
+    module, _, name = data["gymnasium"].rpartition(":")
+    if module:
+        code.module(module, "environment")
+    env = make_environment(name, data["options"])
     judges = {name: _judge(data[name], task, name) for name in ("loss", "success") if name in data}
     world = Factored(env, task, limit=data.get("limit"), **judges)
     return world.model() if world.has_model else world
@@ -349,9 +389,7 @@ def _judge(condition: Mapping[str, Any], task: Task, what: str) -> Any:
     return judge
 
 
-def _mission(environment: Mapping[str, Any], folder: Path) -> Any:
-    from tasklift.building import SCOUT, WEAPON, Building, Mission, Reading, generate
-
+def _mission(environment: Mapping[str, Any], folder: Path) -> Mission:
     data = check_fields(
         environment,
         "environment",
@@ -364,20 +402,20 @@ def _mission(environment: Mapping[str, Any], folder: Path) -> Any:
             "reading?": dict,
         },
     )
-    team = data.get("team", "10+5").split("+")
-    if len(team) != 2 or not all(part.strip().isdigit() for part in team):
-        raise TaskliftError(f"environment, team: expected SCOUTS+WEAPONS such as 10+5, found {data['team']!r}")
     try:
         chosen = data["building"]
         building = Building.load(folder / chosen) if isinstance(chosen, str) else generate(**chosen)
     except TypeError as error:
         raise TaskliftError(f"environment, building: {error}") from error
-    hostiles = data.get("hostiles", 1)
-    numbers = {name: data[name] for name in ("weapons_needed", "limit") if name in data}
-    return Mission(
-        building,
-        {SCOUT: int(team[0]), WEAPON: int(team[1])},
-        tuple(hostiles) if isinstance(hostiles, list) else hostiles,
-        Reading.from_json(data.get("reading", {}), "environment, reading"),
-        **numbers,
-    )
+    rest = {name: data[name] for name in ("hostiles", "weapons_needed", "limit") if name in data}
+    reading = Reading.from_json(data.get("reading", {}), "environment, reading")
+    try:
+        return Mission(building, data.get("team", "10+5"), reading=reading, **rest)
+    except TaskliftError as error:
+        raise TaskliftError(f"environment: {error}") from error
+
+
+def _text(value: Any, where: str) -> str:
+    if not isinstance(value, str):
+        raise TaskliftError(f"{where}: expected text, found {shown(value)}")
+    return value

@@ -11,7 +11,7 @@ import pytest
 from tasklift.building.reading import Reading
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.arms import ARMS
-from tasklift.studies.paper.claims import CLAIMS
+from tasklift.studies.claims import CLAIMS
 from tasklift.studies.study import GREEDY_TRIALS
 
 ROOT = Path(__file__).parents[2]

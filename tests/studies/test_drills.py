@@ -11,92 +11,95 @@ import pytest
 from tasklift.building.generate import generate
 from tasklift.building.mission import Mission
 from tasklift.building.search import hostile_candidates
-from tasklift.building.team import SCOUT, WEAPON
 from tasklift.cli import main as cli
 from tasklift.errors import TaskliftError
-from tasklift.lab import FILE_NAME, Cell, CellResult, Store, run
-from tasklift.learning.chances import DRILL_STAGE
-from tasklift.learning.reinforcement import Reinforcement, reinforce
-from tasklift.studies.arms import LOSS_SIGNAL
+from tasklift.lab import FILE_NAME, CellResult, Store, run
+from tasklift.learning.curriculum import Curriculum
+from tasklift.studies.arms import ARMS, COUNTED, DRILLS, EVERY_DOOR, LOSS_SIGNAL, SELECTIONS, Drilling, Setup
 from tasklift.studies.drills import report as drill_report
-from tasklift.studies.drills.report import BEGIN, END, Sample, chosen, contrast, headline, paste, times, times_fewer
+from tasklift.studies.drills.report import BEGIN, END, chosen, contrast, headline, paste, times, times_fewer
 from tasklift.studies.drills.study import (
     CHOSEN,
-    COUNTED,
     DOORS,
-    SELECTIONS,
-    VARIANTS,
-    WAYS,
-    Drilling,
-    Drills,
-    Part,
-    buildings,
+    RECORD,
     choosing,
-    direct_name,
-    drilled,
     further_arms,
     main_arms,
     study,
+    variants,
 )
-from tasklift.tasks.policy import Policy
+from tasklift.studies.samples import Sample
+from tasklift.studies.study import Condition, Part, Study
 
 HOUSE = generate(intersections=5, corridors=5, rooms=2, features=6, doors=4, seed=1)
 
 
 @pytest.fixture(scope="module")
-def mission():
-    return Mission(HOUSE, {SCOUT: 3, WEAPON: 3}, hostiles=1)
+def on():
+    return Setup(Mission(HOUSE, "3+3", hostiles=1))
+
+
+def drilled(on, drilling, seed=0):
+    return Curriculum([drilling.stage(on)], block=None).run(seed)
 
 
 # --- what is trained
 
 
-def test_drills_repel_and_their_hostiles_stand_where_they_are_said_to(mission):
-    worlds = {where: Drilling(hostiles=where).world(mission) for where in ("same", "relocated", "every door")}
-    for world in worlds.values():
+def test_drills_repel_and_their_hostiles_stand_where_they_are_said_to(on):
+    for where in ("same", "relocated", "every door"):
+        drilling = Drilling(20, hostiles=where)
+        world = drilling.stage(on).world
         assert world.reading.drill
-        outcomes = reinforce(
-            world, Policy.equal(world.task), trials=20, seed=0, stage=DRILL_STAGE, reinforcement=Reinforcement()
-        ).outcomes
+        outcomes = drilled(on, drilling).outcomes["drill"]
         assert outcomes.losses.sum() > 0  # would-be losses are booked
-        assert (outcomes.robots_left.sum(axis=1) == mission.n_robots).all()  # and nobody is lost
-    assert worlds["every door"].hostiles == tuple(hostile_candidates(HOUSE))
-    assert worlds["relocated"].reading.relocate
-    assert not worlds["same"].reading.relocate
-    assert not mission.reading.drill
+        assert (outcomes.robots_left.sum(axis=1) == on.mission.n_robots).all()  # and nobody is lost
+        assert world.reading.relocate == (where == "relocated")
+        assert world.hostiles == (tuple(hostile_candidates(HOUSE)) if where == "every door" else 1)
+    assert not on.mission.reading.drill
 
 
-def test_drills_in_parts_are_the_drills_in_one_go(mission):
-    world = Drilling().world(mission)
-    start = Policy.equal(world.task)
-    whole, once = drilled(world, start, Drilling(30), seed=3)
-    parts, twice = drilled(world, start, Drilling(30, q=(0.0, 0.0, 0.0)), seed=3)
-    assert np.array_equal(whole.weights, parts.weights)
-    assert np.array_equal(once.losses, twice.losses)
-    rules = Reinforcement(selection="exploration", loss_signal=LOSS_SIGNAL)
-    plain = reinforce(world, start, trials=30, seed=3, stage=DRILL_STAGE, reinforcement=rules)
-    assert np.array_equal(whole.weights, plain.policy.weights)
-    annealed, _ = drilled(world, start, Drilling(30, q=(0.0, 0.5, 0.9)), seed=3)
-    assert not np.array_equal(whole.weights, annealed.weights)
+def test_drills_in_parts_are_the_drills_in_one_go(on):
+    once, parts = (drilled(on, Drilling(30, q=q), seed=3) for q in ((0.0,), (0.0, 0.0, 0.0)))
+    assert np.array_equal(once.policy.weights, parts.policy.weights)
+    assert np.array_equal(once.outcomes["drill"].losses, parts.outcomes["drill"].losses)
+    annealed = drilled(on, Drilling(30, q=(0.0, 0.5, 0.9)), seed=3)
+    assert not np.array_equal(once.policy.weights, annealed.policy.weights)
 
 
-def test_every_arm_has_a_direct_learner_of_the_same_signals_selection_and_total():
+def rows_of(arm, on):
+    """The learner on T, and the trials of every stage that the arm pays for."""
+    stages = ARMS[arm].curriculum(on).stages
+    trials = {s.name: s.trials or s.learner.trials(s.task) for s in stages if s.name not in ARMS[arm].unspent}
+    return stages[-1].learner, trials
+
+
+def test_every_arm_has_a_direct_learner_of_the_same_signals_selection_and_total(on):
+    for arm in DRILLS:
+        if not arm.against:
+            continue
+        (reference,) = arm.against
+        learner, trials = rows_of(arm.slug, on)
+        direct, direct_trials = rows_of(reference, on)
+        assert direct == learner
+        assert learner.loss_signal == LOSS_SIGNAL
+        assert list(direct_trials) == ["target"]
+        assert sum(trials.values()) <= direct_trials["target"]
+        assert trials["target"] == COUNTED
     for selection in SELECTIONS:
-        for arms, trials in ((main_arms(selection), COUNTED + 300), (further_arms(), COUNTED + 1000)):
-            direct = WAYS[direct_name(trials, selection)]
-            for name in arms:
-                way = WAYS[name]
-                if way.selection == selection:
-                    assert direct.rules() == way.rules()
-                    assert way.rules().loss_signal == LOSS_SIGNAL
-                    assert way.total <= direct.total == direct.trials
-    for name in main_arms("q = .9"):
-        assert WAYS[name].total == COUNTED + 300
-    assert {WAYS[f"{start}→drill 80, q = .9"].total for start in ("copy", "copy+prior")} == {COUNTED + 300}
+        for arm in main_arms(selection):
+            assert sum(rows_of(arm, on)[1].values()) == COUNTED + 300
+        assert sum(rows_of(f"copy-prior-drill-80-{selection}", on)[1].values()) == COUNTED + 300
+
+
+def test_all_arms_of_the_study_are_in_a_table_or_tried_as_variants():
+    listed = [*(arm for selection in SELECTIONS for arm in main_arms(selection)), *further_arms(), *variants()]
+    assert sorted(listed) == sorted(arm.slug for arm in DRILLS)
 
 
 def test_the_chosen_drills_are_among_those_tried_and_on_other_maps():
-    assert CHOSEN in VARIANTS
+    assert CHOSEN in variants()
+    assert ARMS[CHOSEN].curriculum.keywords["drilling"] == EVERY_DOOR
     reported = study(maps=12, seeds=2, hostiles=(1, 2))
     assert not {b.content_id for b in choosing().buildings.values()} & {
         b.content_id for b in reported.buildings.values()
@@ -105,11 +108,13 @@ def test_the_chosen_drills_are_among_those_tried_and_on_other_maps():
 
 
 def test_a_cell_does_not_depend_on_what_was_computed_before_it():
-    arms = ("drill 300, q = .9", "every-door drill 300, q = .9", "every-door drill 300, exploitation",
-            "copy→drill 80, q = .9", "copy→every-door drill 80, q = .9", "prior, q = .9")  # fmt: skip
+    arms = ("drill-300-q90", "every-door-300-q90", "every-door-300-exploitation",
+            "copy-drill-80-q90", "copy-every-door-80-q90", "prior-loss-q90")  # fmt: skip
 
     def plan():
-        return Drills({"house": HOUSE}, (Part((1, 2), 1, arms),), team={SCOUT: 2, WEAPON: 3}, limit=60)
+        part = Part(arms, ("1", "2"), ("house",), (0,))
+        conditions = {h: Condition(hostiles=int(h)) for h in ("1", "2")}
+        return Study({"house": HOUSE}, conditions, (part,), axis="hostiles", team="2+3", limit=60, record=RECORD)
 
     together = plan()
     results = {cell: together.work(cell) for cell in together.cells()}
@@ -121,18 +126,20 @@ def test_a_cell_does_not_depend_on_what_was_computed_before_it():
             for name, values in columns.items():
                 assert np.array_equal(values, alone.stages[stage][name])
     # a hostile at every door: the same drills, however many there are on T
-    pair = [results[Cell(reading=f"{h}", map="house", seed=0, arm=arms[1])] for h in ("1 hostile", "2 hostiles")]
+    pair = [results[together.cell(h, "house", 0, arms[1])] for h in ("1", "2")]
     assert np.array_equal(*(result.stages["drill"]["losses"] for result in pair))
-    ledger = results[Cell(reading="1 hostile", map="house", seed=0, arm="copy→drill 80, q = .9")].stages
+    ledger = results[together.cell("1", "house", 0, "copy-drill-80-q90")].stages
     assert {stage: len(columns["losses"]) for stage, columns in ledger.items()} == {
         "source": 220, "drill": 80, "target": 100,
     }  # fmt: skip
     assert ledger["source"]["losses"].sum() == 0
+    # prior knowledge is made from V, whose traversals the arm does not pay for
+    assert list(results[together.cell("1", "house", 0, "prior-loss-q90")].stages) == ["target"]
 
 
 def test_mistakes_are_refused_before_training():
-    with pytest.raises(TaskliftError, match="unknown arm"):
-        Drills({"house": HOUSE}, (Part((1,), 1, ("drill",)),))
+    with pytest.raises(TaskliftError, match="unknown; the nearest are: drill"):
+        Study.every({"house": HOUSE}, {"1": Condition()}, ("dril",))
     with pytest.raises(TaskliftError, match="door"):
         study(maps=1, seeds=1, hostiles=(DOORS + 1,))
 
@@ -144,15 +151,18 @@ def arm(rng, *, losses, solved, trials=COUNTED, spread=0.3, maps=4, seeds=10):
     n = maps * seeds
     level = losses * rng.lognormal(0, spread, (n, 1))
     return Sample(
-        maps=np.repeat([f"map {i}" for i in range(maps)], seeds),
+        maps=np.repeat([f"map-{i}" for i in range(maps)], seeds),
+        seeds=np.tile(np.arange(seeds), maps),
         losses=rng.poisson(level, (n, trials)).astype(float),
         steps=np.full((n, trials), 300.0),
         success=(rng.random((n, trials)) < solved).astype(float),
-        would_be=None,
+        limit=600,
+        n_robots=15,
+        spent={"drill": np.array([300, 0, 0]), "target": np.array([trials, 0, 0])},
     )
 
 
-DRILL = main_arms("q = .9")[1]
+DRILL = main_arms("q90")[1]
 
 
 def judged(first, second):
@@ -193,11 +203,11 @@ def test_the_headline_names_what_holds_or_that_nothing_does():
     assert times_fewer(good.all_share) in line
     assert "Not so with 2 hostiles" in line
     assert headline([bad])[0].startswith("**No contrast")
-    assert "drill 300: no contrast holds" in headline([bad])[1]
-    other = replace(good, arm=main_arms("q = .9")[2], lost=0.0)
+    assert "drill 300, q = .9: no contrast holds" in headline([bad])[1]
+    other = replace(good, arm=main_arms("q90")[2], lost=0.0)
     assert [says[2:].partition(":")[0] for says in headline([good, bad, other])] == [
-        "every-door drill 300",
-        "drill 300",
+        "every-door drill 300, q = .9",
+        "drill 300, q = .9",
     ]
 
 
@@ -220,23 +230,24 @@ def test_unpaired_or_too_short_references_are_refused():
 
 def test_the_rule_that_chooses_the_drills(tmp_path):
     """Few losses admit a variant, the solved share decides; many losses cannot be made up for."""
-    losses = dict.fromkeys(VARIANTS, 1) | {"every door": 0, "by q = .9": 0}
-    solved = dict.fromkeys(VARIANTS, 1.0) | {"every door": 0.8, "by q = .9": 0.7}
+    good, fast = "variant-every-door", "variant-q90"
+    losses = dict.fromkeys(variants(), 1) | {good: 0, fast: 0}
+    solved = dict.fromkeys(variants(), 1.0) | {good: 0.8, fast: 0.7}
 
     def work(cell):
-        name = cell["arm"].removeprefix("variant: ")
-        success = np.arange(COUNTED) < round(COUNTED * solved[name])
+        success = np.arange(COUNTED) < round(COUNTED * solved[cell["arm"]])
         ones = np.ones(COUNTED, np.int32)
         return CellResult(
-            {"target": {"losses": losses[name] * ones, "steps": ones, "success": success}, "drill": {"losses": ones}}
-        )
+            {"target": {"losses": losses[cell["arm"]] * ones, "steps": ones, "success": success},
+             "drill": {"losses": ones, "steps": ones}}
+        )  # fmt: skip
 
-    plan = replace(choosing(), buildings=buildings(103, 1), parts=(Part((1,), 2, choosing().parts[0].arms),))
-    with Store.open(tmp_path / FILE_NAME, plan.spec()) as store:
+    plan = choosing(maps=1, seeds=2)
+    with Store.open(tmp_path / FILE_NAME, plan.spec("choosing")) as store:
         run(store, plan.cells(), work, workers=1)
-        name, table = chosen(store)
-    assert name == "every door"
-    assert [row[0] for row in table if row[-1]] == ["by q = .9", "every door"]
+        slug, table = chosen(store)
+    assert slug == good
+    assert [row[0] for row in table if row[-1]] == [ARMS[fast].label, ARMS[good].label]
 
 
 # --- the command
@@ -274,7 +285,7 @@ def test_a_page_without_marks_and_a_wrong_range_are_refused(tmp_path, monkeypatc
     with pytest.raises(TaskliftError, match="marks"):
         drill_report.drills(out=tmp_path / "out", maps=1, seeds=1, page=page)
     assert not (tmp_path / "out").exists()
-    for text in ("x", "0-3", "3-1", "-2"):
+    for text in ("x", "0-3", "3-1", "-2", "1,,3"):
         monkeypatch.setattr(sys, "argv", ["tasklift", "drills", "--hostiles", text])
         with pytest.raises(SystemExit) as stop:
             cli.main()

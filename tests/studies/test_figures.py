@@ -13,16 +13,18 @@ from scipy.stats import chisquare
 from tasklift.building import kernel
 from tasklift.building.generate import generate
 from tasklift.building.mission import Mission
-from tasklift.building.reading import PRESETS, Reading
+from tasklift.building.reading import Reading
 from tasklift.building.team import SCOUT, WEAPON
 from tasklift.building.ways import goal_shares
 from tasklift.errors import TaskliftError
 from tasklift.lab import FILE_NAME, Store, run
 from tasklift.learning.reinforcement import Reinforcement
+from tasklift.report.pictures import save
 from tasklift.stats import mean_band
-from tasklift.studies.paper import figures
-from tasklift.studies.paper.survey import CA, survey
-from tasklift.studies.study import Study
+from tasklift.studies.paper import figures, survey
+from tasklift.studies.report import WEAPONS
+from tasklift.studies.samples import CA, Sample
+from tasklift.studies.study import Condition, Study
 
 CHANCE = 1e-4  # p-threshold of the chi-square tests; seeds are fixed
 
@@ -100,20 +102,15 @@ def test_goal_shares_sum_to_one_and_favour_the_near(seed, node, goal, sharpness)
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    path = tmp_path_factory.mktemp("study") / FILE_NAME
-    study = Study(
-        {"one": generate(seed=1), "two": generate(seed=2)},
-        {"scattered": PRESETS["scattered"]},
-        ("direct", "copy", "expert"),
-        seeds=2,
-        trials=8,
-        repeats=1,
-        team={SCOUT: 3, WEAPON: 3},
-    )
-    with Store.open(path, study.spec("figures")) as opened:
-        run(opened, study.cells(), study.work, workers=1)
-        yield opened
+def samples(tmp_path_factory):
+    arms = ("direct", "copy", "expert")
+    study = Study.every(
+        {"one": generate(seed=1), "two": generate(seed=2)}, {"scattered": Condition()}, arms, seeds=2, trials=8,
+        repeats=1, team="3+3",
+    )  # fmt: skip
+    with Store.open(tmp_path_factory.mktemp("study") / FILE_NAME, study.spec("figures")) as store:
+        run(store, study.cells(), study.work, workers=1)
+        return {arm: Sample.of(store, arm, reading="scattered") for arm in arms}
 
 
 def texts(ax):
@@ -125,7 +122,7 @@ def test_a_saved_figure_is_the_same_every_time(tmp_path):
     for attempt in ("first", "second"):
         folder = tmp_path / attempt
         folder.mkdir()
-        paths = figures.save(figures.figure1(generate(seed=4)), folder, "figure1")
+        paths = save(figures.figure1(generate(seed=4)), folder, "figure1")
         assert [path.name for path in paths] == ["figure1.png", "figure1.svg"]
         contents.append([path.read_bytes() for path in paths])
     assert contents[0] == contents[1]
@@ -147,45 +144,45 @@ def test_figure2_shows_the_shares_of_the_code_that_computes_them():
         figures.figure2(building, node, building.n_nodes)
 
 
-def test_figure3_shows_the_odd_seeds_of_the_two_maps():
-    found = survey([generate(seed=2000 + i) for i in range(2)], seeds=4, repeats=1, shown=2, workers=1)
-    _, _, below_a, below_b = figures.figure3(found, 0, 1).axes
-    for place, ax in ((0, below_a), (1, below_b)):
-        of = found.maps[place]
+def test_figure3_shows_the_odd_seeds_of_the_two_maps(tmp_path):
+    plan = survey.study(2, seeds=4, shown=2, repeats=1)
+    with Store.open(tmp_path / FILE_NAME, plan.spec("survey")) as store:
+        run(store, plan.cells(), plan.work, workers=1)
+        found = survey.read(store, plan)["scattered"]
+    _, _, below_a, below_b = figures.figure3(found).axes
+    for name, ax in zip(found.shown(), (below_a, below_b), strict=True):
+        of = found.maps[name]
         points = ax.lines[0].get_xydata()
         np.testing.assert_allclose(points[:, 0], CA)
         np.testing.assert_allclose(points[:, 1], of.weights[of.seeds % 2 == 1].mean(axis=0))
         low_high = np.concatenate([path.vertices for path in ax.collections[0].get_paths()])[:, 1]
         assert low_high.min() <= points[:, 1].min()
         assert low_high.max() >= points[:, 1].max()
-        assert f"{found.slope_interval(place).estimate:+.3f}".replace("-", "−") in ax.get_title(loc="left")
+        assert f"{found.slope_interval(name).estimate:+.3f}".replace("-", "−") in ax.get_title(loc="left")
 
 
-def test_figure4_shows_means_over_runs_and_one_run_as_it_was(store):
-    figure = figures.figure4(store, "scattered", ("direct", "copy", "expert"), run=("two", 1))
+def test_figure4_shows_means_over_runs_and_one_run_as_it_was(samples):
+    figure = figures.figure4(samples, run=("two", 1))
     for column, name in enumerate(("steps", "robots_left", "teams_left")):
         above, below = figure.axes[column], figure.axes[3 + column]
         lines = {line.get_label(): line.get_ydata() for line in above.lines}
         assert list(lines) == ["direct", "copy", "expert"]
         for arm in ("direct", "copy"):
-            curves = store.curves("target", name, arm=arm)
-            band = mean_band(curves.values, strata=curves.column("map"))
+            band = mean_band(getattr(samples[arm], name), strata=samples[arm].maps)
             np.testing.assert_allclose(lines[arm], band.estimate)
-        expert = store.curves("target", name, arm="expert").values
-        np.testing.assert_allclose(lines["expert"], np.full(8, expert.mean()))
+        np.testing.assert_allclose(lines["expert"], np.full(8, getattr(samples["expert"], name).mean()))
         for line, arm in zip(below.lines, ("direct", "copy"), strict=True):
-            _, result = next(iter(store.select(map="two", seed=1, arm=arm)))
-            np.testing.assert_array_equal(line.get_ydata(), result.stages["target"][name])
+            row = (samples[arm].maps == "two") & (samples[arm].seeds == 1)
+            np.testing.assert_array_equal(line.get_ydata(), getattr(samples[arm], name)[row][0])
     with pytest.raises(TaskliftError, match="no run of map 'three'"):
-        figures.figure4(store, "scattered", ("direct",), run=("three", 0))
+        figures.figure4(samples, run=("three", 0))
 
 
-def test_figure5_has_a_bar_for_every_weight(store):
-    attached = [r.attachments["move_weights"] for _, r in store.select(arm="copy", attachments=True)]
-    weights = np.mean(attached, axis=0)
+def test_figure5_has_a_bar_for_every_weight(samples):
+    weights = samples["copy"].move_weights.mean(axis=0)
     figure = figures.figure5(weights)
     figure.draw_without_rendering()
-    assert [ax.get_title() for ax in figure.axes] == list(figures.WEAPONS)
+    assert [ax.get_title() for ax in figure.axes] == list(WEAPONS)
     for n, ax in enumerate(figure.axes):
         drawn = np.concatenate([path.vertices for bars in ax.collections for path in bars.get_paths()])
         for feature in range(5):

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tasklift.building.generate import generate
 from tasklift.building.reading import Reading
 from tasklift.errors import TaskliftError
-from tasklift.lab import FILE_NAME, Cell, Store, recompute, run
+from tasklift.lab import FILE_NAME, Store, recompute, run
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.multiverse import report as pages
 from tasklift.studies.multiverse.study import (
@@ -24,15 +23,13 @@ from tasklift.studies.multiverse.study import (
     OPTIONS,
     SELECTION,
     Judged,
-    Multiverse,
-    Variant,
-    _coverage,
-    _coverage_findings,
+    condition,
     draw,
     judge,
     main_effects,
+    study,
 )
-from tasklift.studies.study import Study
+from tasklift.studies.study import Study, generated
 
 #: Drilling and the loss signal are additions of ours; the search rate, m and q have no alternatives of their own.
 NO_OPTIONS = {"drill", "search_rate_m2", "loss_signal", "q"}
@@ -82,9 +79,9 @@ def test_all_named_alternatives_are_drawn_and_the_presets_are_among_them():
     for o in OPTIONS:
         if o.name != "hostiles":
             assert getattr(Reading() if o.of == "reading" else Reinforcement(), o.name) in o.levels
-    default = Variant.of([o.levels.index(getattr(Reading(), o.name)) if o.of == "reading" else 0 for o in OPTIONS])
+    default = condition([o.levels.index(getattr(Reading(), o.name)) if o.of == "reading" else 0 for o in OPTIONS])
     assert default.reading == Reading()
-    rules = [Variant.of([k, *[0] * (len(OPTIONS) - 1)]).reinforcement for k in range(4)]
+    rules = [condition([k, *[0] * (len(OPTIONS) - 1)]).reinforcement for k in range(4)]
     assert [(r.selection, r.q) for r in rules] == [
         ("exploration", 0.9), ("pseudo-random", 0.5), ("pseudo-random", 0.9), ("exploitation", 0.9),
     ]  # fmt: skip
@@ -92,86 +89,63 @@ def test_all_named_alternatives_are_drawn_and_the_presets_are_among_them():
 
 @pytest.fixture(scope="module")
 def small():
-    return Multiverse({f"map {i}": generate(seed=i) for i in range(2)}, drawn(4), seeds=2, trials=12, repeats=1)
+    return study(generated(range(2)), drawn(4), seeds=2, trials=12, repeats=1)
 
 
 @pytest.fixture(scope="module")
 def ran(small, tmp_path_factory):
     path = tmp_path_factory.mktemp("multiverse") / FILE_NAME
-    with Store.open(path, small.spec()) as store:
+    with Store.open(path, small.spec("multiverse")) as store:
         run(store, small.cells()[:9], small.work, workers=2)  # an unfinished run, ...
-    with Store.open(path, small.spec()) as store:
+    with Store.open(path, small.spec("multiverse")) as store:
         done = run(store, small.cells(), small.work, workers=2)  # ... resumed
         assert done.computed == len(small.cells()) - 9
     return path
 
 
 def test_readings_that_explore_also_run_what_c10_needs(small):
-    for name, levels in zip(small.names, small.levels, strict=True):
+    for name, levels in zip(small.conditions, drawn(4), strict=True):
         arms = {cell["arm"] for cell in small.cells() if cell["reading"] == name}
         assert arms == set(ARMS) | (set(EXPLOITING) if levels[SELECTION] == 0 else set())
 
 
 def test_a_cell_is_the_main_studys_cell_and_can_be_recomputed(small, ran):
-    cell = Cell(reading="r0002", map="map 1", seed=1, arm="copy")
-    variant = Variant.of([int(level) for level in small.levels[2]])
-    alone = Study(small.buildings, {"r0002": variant.reading}, ("copy",), seeds=2, trials=12, repeats=1,
-                  hostiles=variant.hostiles, reinforcement=variant.reinforcement)  # fmt: skip
+    cell = small.cell("r0002", "map-1", 1, "copy")
+    of = condition([int(level) for level in drawn(4)[2]])
+    alone = Study.every(small.buildings, {"r0002": of}, ("copy",), seeds=2, trials=12, repeats=1)
     full = alone.work(cell)
     with Store.read(ran) as store:
         kept = store.result(cell)
+        assert list(kept.stages) == ["target"]
         for name, values in kept.stages["target"].items():
             assert (values == full.stages["target"][name]).all()
-        np.testing.assert_allclose(kept.attachments["move_weights"], full.attachments["move_weights"], rtol=1e-6)
+        assert (kept.attachments["move_weights"] == full.attachments["move_weights"]).all()
         recompute(store, cell, small.work)
 
 
 def test_the_spec_covers_design_and_maps(small):
-    same = Multiverse(small.buildings, drawn(4), seeds=2, trials=12, repeats=1)
-    assert same.spec().id == small.spec().id
-    assert Multiverse(small.buildings, draw(4, 1), seeds=2, trials=12, repeats=1).spec().id != small.spec().id
-    one = {"map 0": small.buildings["map 0"]}
-    assert Multiverse(one, drawn(4), seeds=2, trials=12, repeats=1).spec().id != small.spec().id
+    def spec(buildings, levels):
+        return study(buildings, levels, seeds=2, trials=12, repeats=1).spec("multiverse")
+
+    assert not spec(small.buildings, drawn(4)).conflicts(small.spec("multiverse"))
+    assert spec(small.buildings, draw(4, 1)).conflicts(small.spec("multiverse"))
+    assert spec(generated([1]) | {"map-0": generated([5])["map-5"]}, drawn(4)).conflicts(small.spec("multiverse"))
 
 
-def test_claims_are_judged_from_the_store_alone(ran):
+def test_claims_are_judged_from_the_rows_alone(ran):
     with Store.read(ran) as store:
-        judged = judge(store, resamples=100)
+        judged = judge(store, drawn(4), resamples=100)
         assert judged.kept.shape == (4, 4)
     assert np.isin(judged.verdict[np.isfinite(judged.verdict)], (-1, 0, 1)).all()
+    assert np.isfinite(judged.column("C1", "v")).all()
     explores = judged.levels[:, SELECTION] == 0
-    for arm in ("copy", "copy+prior"):
+    for arm in ("copy", "copy-prior"):
         assert (np.isfinite(judged.column("C10", arm)) == explores).all()
         assert np.isfinite(judged.column("C6", arm)).all()
     # the sign of a standardised effect agrees with its verdict
     judged_so = np.isfinite(judged.effect)
     assert judged_so.sum() > 50
     assert (judged.effect * judged.verdict)[judged_so].min() >= 0
-
-
-def test_the_trend_of_v_with_ca_is_judged_map_by_map():
-    rng = np.random.default_rng(0)
-    maps = np.repeat(["a", "b"], 6)
-    noise = rng.normal(0, 0.01, 12)
-
-    def verdicts(slopes, times):
-        return [f.verdict for f in _coverage_findings(slopes + noise, times + noise, maps, "r")]
-
-    falls, rises = np.repeat([-0.2, 0.2], 6), np.full(12, 0.2)
-    assert verdicts(falls, np.repeat([0.3, 0.0], 6)) == ["holds", "holds"]
-    assert verdicts(rises, rises) == ["does not hold", "does not hold"]
-    assert verdicts(np.zeros(12), np.full(12, 0.05)) == ["undecided", "undecided"]
-    one_seed = _coverage_findings(np.array([-0.2, 0.2]), np.zeros(2), np.array(["a", "b"]), "r")
-    assert [f.verdict for f in one_seed] == ["undecided", "undecided"]  # one run a map tells nothing
-
-
-def test_coverage_slopes_are_those_of_a_straight_line():
-    ca = np.arange(11) / 10
-    steps = np.full((5, 2, 2, 11), 600)
-    steps[:, 1] = 100 + 100 * ca
-    found = _coverage(3 - 0.5 * ca, steps.reshape(-1))
-    assert found["ca_slope"] == pytest.approx(-0.5)
-    assert found["ca_time"] == pytest.approx(100 / 150)
 
 
 def made(n=160, seed=0, size=0.8):
@@ -217,8 +191,9 @@ def test_shares_add_up_and_the_report_tells_them(tmp_path):
     judged = made(n=60)
     share = pages.shares(judged)
     np.testing.assert_allclose(share.sum(axis=1), 1)
-    study = Multiverse({"<b>map</b>": generate(seed=0)}, judged.levels)
-    path = pages.write_report(study, judged, tmp_path, "tasklift multiverse --out <here>")
+    plan = study({"<b>map</b>": generated([0])["map-0"]}, judged.levels)
+    with Store.open(tmp_path / FILE_NAME, plan.spec("<b>name</b>")) as store:
+        path = pages.write_report(plan, judged, tmp_path, store, "tasklift multiverse --out <here>")
     html = path.read_text()
     assert "<b>map" not in html
     assert "<here>" not in html

@@ -11,92 +11,94 @@ from hypothesis import strategies as st
 
 from tasklift.building.generate import generate
 from tasklift.building.graph import FEATURE, INTERSECTION, ROOM, Building
-from tasklift.building.team import SCOUT, WEAPON
 from tasklift.errors import TaskliftError
-from tasklift.studies.paper.survey import CA, PROPERTIES, Survey, correlate, map_properties, survey
+from tasklift.lab import FILE_NAME, Store, run
+from tasklift.studies.paper.survey import PROPERTIES, Survey, correlate, further, map_properties, parts, read, study
+from tasklift.studies.samples import CA
+
+
+def surveyed(folder, **engine):
+    plan = study(4, seeds=4, shown=4, repeats=2, team="4+2")
+    with Store.open(folder / FILE_NAME, plan.spec("survey")) as store:
+        run(store, plan.cells(), plan.work, **engine)
+        run(store, further(plan, read(store, plan)), plan.work, **engine)
+        return read(store, plan)["scattered"], store.digest()
 
 
 @pytest.fixture(scope="module")
-def maps():
-    return [generate(seed=2000 + i) for i in range(4)]
+def survey(tmp_path_factory):
+    return surveyed(tmp_path_factory.mktemp("survey"))
 
 
 @pytest.fixture(scope="module")
-def found(maps):
-    return survey(maps, seeds=4, repeats=2, team={SCOUT: 4, WEAPON: 2}, shown=4)
+def found(survey):
+    return survey[0]
 
 
 def with_slopes(survey_, slopes):
     """The same survey, had V taught straight lines with these slopes: (maps,) or (maps, seeds)."""
-    changed = []
-    for of, slope in zip(survey_.maps, slopes, strict=True):
+    changed = {}
+    for (name, of), slope in zip(survey_.maps.items(), slopes, strict=True):
         weights = 2.0 + np.broadcast_to(slope, of.seeds.shape)[:, None] * CA
-        changed.append(replace(of, weights=weights))
-    return replace(survey_, maps=tuple(changed))
+        changed[name] = replace(of, weights=weights)
+    return replace(survey_, maps=changed)
 
 
 def test_the_two_chosen_maps_get_further_odd_seeds(found):
-    chosen = set(found.choose())
-    for place, of in enumerate(found.maps):
-        assert of.seeds.tolist() == ([0, 1, 2, 3, 5, 7] if place in chosen else [0, 1, 2, 3])
+    for name, of in found.maps.items():
+        assert of.seeds.tolist() == ([0, 1, 2, 3, 5, 7] if name in found.shown() else [0, 1, 2, 3])
         assert of.weights.shape == of.steps.shape == (len(of.seeds), 11)
 
 
 def test_weights_follow_from_the_time_of_the_trials(found):
     # every trial of V adds 0.2 (1 - steps / limit); the margin of C2 rests on this
-    for of in found.maps:
+    for of in found.maps.values():
         np.testing.assert_allclose(of.weights, 1.5 + 2 * 0.2 * (1 - of.steps / found.limit), rtol=0, atol=1e-9)
 
 
-def test_workers_change_nothing(maps, found):
-    done = []
-    again = survey(
-        maps, seeds=4, repeats=2, team={SCOUT: 4, WEAPON: 2}, shown=4, workers=1,
-        progress=lambda n, total: done.append((n, total)),
-    )  # fmt: skip
-    assert done == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    for one, two in zip(found.maps, again.maps, strict=True):
-        np.testing.assert_array_equal(one.seeds, two.seeds)
-        np.testing.assert_array_equal(one.weights, two.weights)
+def test_workers_change_nothing(survey, tmp_path):
+    assert surveyed(tmp_path, workers=1)[1] == survey[1]
 
 
 def test_odd_seeds_do_not_choose_and_even_seeds_do_not_speak(found):
     def slopes(even, odd):
-        rows = [np.where(of.seeds % 2 == 0, e, o) for of, e, o in zip(found.maps, even, odd, strict=True)]
+        rows = [np.where(of.seeds % 2 == 0, e, o) for of, e, o in zip(found.maps.values(), even, odd, strict=True)]
         return with_slopes(found, rows)
 
     made = slopes(even=[-0.1, 0.01, -0.3, 0.2], odd=[9.0, 8.0, 0.5, -7.0])
     assert made.choose() == (2, 1)
-    assert made.slope_interval(2).estimate == pytest.approx(0.5)
-    assert made.trend(2) == "does not hold"  # whatever it was chosen for
-    assert made.slope_interval(2, "even").estimate == pytest.approx(-0.3)
+    steep = made.shown()[0]
+    assert made.slope_interval(steep).estimate == pytest.approx(0.5)  # whatever it was chosen for
+    assert made.slope_interval(steep, "even").estimate == pytest.approx(-0.3)
 
 
-def test_slopes_and_verdicts(found):
-    margin = found.margin(0)
-    mean_steps = found.maps[0].steps[found.maps[0].seeds % 2 == 1].mean()
-    assert margin == pytest.approx(2 * 0.2 * 0.05 * mean_steps / 600)
+def test_slopes_and_margins(found):
+    name = next(iter(found.maps))
+    of = found.maps[name]
+    margin = found.margin(name)
+    assert margin == pytest.approx(2 * 0.2 * 0.05 * of.steps[of.seeds % 2 == 1].mean() / 600)
     made = with_slopes(found, [-2 * margin, 0.9 * margin, 0.0, 2.0])
     np.testing.assert_allclose(made.mean_slopes(), [-2 * margin, 0.9 * margin, 0, 2], atol=1e-12)
-    assert [made.trend(i, "all") for i in range(2)] == ["holds", "does not hold"]
-    assert [made.no_trend(i) for i in range(4)] == ["does not hold", "holds", "holds", "does not hold"]
+    assert "rise on 2" in made.in_words()
 
 
 def test_steps_that_change_by_the_margin_change_the_weights_by_it(found):
-    of = found.maps[0]
+    name = next(iter(found.maps))
+    of = found.maps[name]
     steps = np.full((len(of.seeds), 11), 200.0) * (1 + 0.05 * (CA - 0.5))
     made = replace(of, steps=steps, weights=1.5 + found.repeats * 0.2 * (1 - steps / found.limit))
-    changed = replace(found, maps=(made, *found.maps[1:]))
-    assert changed.slope_interval(0).estimate == pytest.approx(-changed.margin(0))
+    changed = replace(found, maps={**found.maps, name: made})
+    assert changed.slope_interval(name).estimate == pytest.approx(-changed.margin(name))
+    assert changed.coverage.changes[: len(of.seeds)] == pytest.approx(0.05)
 
 
-def test_too_few_seeds_and_unknown_halves_are_refused(found, maps):
+def test_too_few_seeds_and_unknown_halves_are_refused(found):
     with pytest.raises(TaskliftError, match="seeds: expected a whole number of at least 2, found 1"):
-        survey(maps, seeds=1)
-    with pytest.raises(TaskliftError, match="maps: expected at least one"):
-        survey([])
+        parts(["map-2000"], seeds=1)
+    with pytest.raises(TaskliftError, match="survey: expected a whole number of at least 1"):
+        study(0)
     with pytest.raises(TaskliftError, match="expected even, odd or all, found 'third'"):
-        found.slope_interval(0, "third")
+        found.slope_interval(next(iter(found.maps)), "third")
 
 
 def junction(turn=0.0):
@@ -166,18 +168,15 @@ def test_properties_do_not_depend_on_how_a_map_lies(seed, turn):
 @pytest.fixture(scope="module")
 def many():
     """Forty maps and nothing learned yet."""
-    from tasklift.building.reading import SCATTERED
     from tasklift.studies.paper.survey import Surveyed
 
     seeds = np.arange(2)
     blank = np.full((2, 11), 150.0)
-    return Survey(
-        tuple(Surveyed(generate(seed=3000 + i), seeds, blank, blank) for i in range(40)), SCATTERED, 5, 600
-    )
+    return Survey({f"map-{i}": Surveyed(generate(seed=i), seeds, blank, blank) for i in range(3000, 3040)}, 5, 600)
 
 
 def test_a_property_that_decides_is_found(many):
-    values = np.array([map_properties(of.building)["largest CovA"] for of in many.maps])
+    values = np.array([map_properties(of.building)["largest CovA"] for of in many.maps.values()])
     made = with_slopes(many, -values)
     first = correlate(made)[0]
     assert (first.name, first.rho) == ("largest CovA", pytest.approx(-1.0))

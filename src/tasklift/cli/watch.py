@@ -7,35 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tasklift.cli.options import Names, Numbers, count, positive
 from tasklift.cli.terminal import say
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import Trace
-
-
-def _names(ctx: click.Context, parameter: click.Parameter, text: str | None) -> list[str] | None:
-    from tasklift.watch.sources import arm_names
-
-    return None if text is None else arm_names(text)
-
-
-def _numbers(ctx: click.Context, parameter: click.Parameter, text: str | None) -> list[int] | None:
-    if text is None:
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdigit() and int(part) >= 1 for part in parts):
-        raise click.BadParameter(f"expected trial numbers from 1 such as 1,10,50,100, found {text!r}")
-    return [int(part) for part in parts]
-
-
-def _team(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple[int, int]:
-    parts = text.split("+")
-    if len(parts) != 2 or not all(part.strip().isdigit() for part in parts):
-        raise click.BadParameter(f"expected SCOUTS+WEAPONS such as 10+5, found {text!r}")
-    return int(parts[0]), int(parts[1])
-
-
-_count = click.IntRange(min=0)
 
 
 @click.command("watch")
@@ -48,23 +24,22 @@ _count = click.IntRange(min=0)
     help="On a building: a policy file to use as it is; several stand side by side.",
 )
 @click.option("--draw", is_flag=True, help="Draw the policy's outputs by weight; default: always the heaviest.")
-@click.option("--arms", callback=_names, help="Arms, side by side.  [default: direct,copy,copy+prior]")
+@click.option("--arms", type=Names(), help="Methods (arms), side by side.  [default: direct,copy,copy-prior]")
 @click.option(
     "--trial",
     "--trials",
     "trials",
-    callback=_numbers,
-    help="One number from 1, or several: 1,10,50,100.  [default: the last, or 100]",
+    type=Numbers(),
+    help="One number from 1, or several: 1,10,50,100.  [default: the last]",
 )
-@click.option("--seed", type=_count, default=0, show_default=True)
+@click.option("--stage", default="target", show_default=True, help="source, budget, drill, target, greedy or unseen.")
+@click.option("--seed", type=count, default=0, show_default=True)
 @click.option("--map", "map_name", help="Of an experiment: one of its maps.  [default: the first]")
 @click.option("--preset", help="The world's rules: scattered or cohesive, or another of the experiment's.")
-@click.option("--team", default="10+5", show_default=True, callback=_team, help="On a building: scouts+weapon robots.")
-@click.option("--hostiles", type=_count, default=1, show_default=True, help="On a building.")
-@click.option("--weapons-needed", type=click.IntRange(min=1), default=2, show_default=True, help="On a building.")
-@click.option(
-    "--limit", type=click.IntRange(min=1), default=600, show_default=True, help="On a building: steps per trial."
-)
+@click.option("--team", default="10+5", show_default=True, help="On a building: scouts+weapon robots.")
+@click.option("--hostiles", type=count, help="On a building: how many.  [default: 1]  Of drills: one of the numbers.")
+@click.option("--weapons-needed", type=positive, default=2, show_default=True, help="On a building.")
+@click.option("--limit", type=positive, default=600, show_default=True, help="On a building: steps per trial.")
 @click.option("--html", type=click.Path(path_type=Path), help="Write the replay as one HTML file instead.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the traces as one JSON file.")
 @click.option("--force", is_flag=True, help="With --html and --json: replace files that are there.")
@@ -129,18 +104,21 @@ def _of_run(
     *,
     policies: tuple[Path, ...],
     draw: bool,
-    arms: list[str] | None,
-    trials: list[int] | None,
-    seed: int,
-    map_name: str | None,
     preset: str | None,
+    hostiles: int | None,
+    map_name: str | None,
+    seed: int,
+    arms: tuple[str, ...] | None,
+    trials: tuple[int, ...] | None,
+    stage: str,
     **_: Any,
 ) -> list[tuple[str, Trace]]:
     from tasklift.watch.sources import run_traces
 
     if policies or draw:
         raise click.UsageError("--policy and --draw go with a building, not with an experiment")
-    return run_traces(source, reading=preset, map=map_name, seed=seed, arms=arms, trials=trials)
+    condition = preset if hostiles is None else str(hostiles)
+    return run_traces(source, condition=condition, map=map_name, seed=seed, arms=arms, trials=trials, stage=stage)
 
 
 def _of_building(
@@ -148,22 +126,20 @@ def _of_building(
     *,
     policies: tuple[Path, ...],
     draw: bool,
-    arms: list[str] | None,
-    trials: list[int] | None,
+    arms: tuple[str, ...] | None,
+    trials: tuple[int, ...] | None,
+    stage: str,
     seed: int,
     map_name: str | None,
     preset: str | None,
-    team: tuple[int, int],
-    hostiles: int,
-    weapons_needed: int,
-    limit: int,
+    hostiles: int | None,
+    **options: Any,
 ) -> list[tuple[str, Trace]]:
     from tasklift.building.reading import PRESETS
-    from tasklift.building.team import SCOUT, WEAPON
     from tasklift.plans.read import load_building
-    from tasklift.studies.study import Study
+    from tasklift.studies.study import Condition, Study
     from tasklift.tasks.policy import Policy
-    from tasklift.watch.sources import policy_traces, study_traces
+    from tasklift.watch.sources import USUAL, policy_traces, study_traces
 
     preset = preset or "scattered"
     if preset not in PRESETS:
@@ -172,22 +148,17 @@ def _of_building(
         raise click.UsageError("--map goes with an experiment, not with a building")
     if policies and arms:
         raise click.UsageError("--policy and --arms exclude each other")
-    study = Study(
-        {source.stem: load_building(source)},
-        {preset: PRESETS[preset]},
-        ("direct",),
-        team={SCOUT: team[0], WEAPON: team[1]},
-        hostiles=hostiles,
-        weapons_needed=weapons_needed,
-        limit=limit,
-    )
+    rules = Condition(PRESETS[preset], hostiles=1 if hostiles is None else hostiles)
+    shown = arms or USUAL
+    study = Study.every({source.stem: load_building(source)}, {preset: rules}, shown, seeds=1, **options)
     if not policies:
-        arms = arms or ["direct", "copy", "copy+prior"]
-        return study_traces(study, reading=preset, map=source.stem, seed=seed, arms=arms, trials=trials or [100])
+        return study_traces(
+            study, condition=preset, map=source.stem, seed=seed, arms=shown, trials=trials, stage=stage
+        )
     mission = study.mission(preset, source.stem)
     loaded = [(file.stem, Policy.load(file)) for file in policies]
     traces = []
-    for trial in trials or [1]:
+    for trial in trials or (1,):
         for label, trace in policy_traces(mission, loaded, seed=seed, trial=trial, greedy=not draw):
-            traces.append((label if len(trials or [1]) == 1 else f"{label}, trial {trial}", trace))
+            traces.append((label if len(trials or (1,)) == 1 else f"{label}, trial {trial}", trace))
     return traces

@@ -1,270 +1,476 @@
-"""One study: buildings × seeds × arms × readings, and what is done in each cell."""
+"""The one pipeline: maps × conditions × seeds × arms -> rows.
+
+Every experiment is a :class:`Study`. The paper's, the study of drills, the multiverse of readings and training on a
+building of your own differ in the arms and conditions that they list, and in the questions that they ask of the rows.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.building.generate import generate
 from tasklift.building.graph import Building
 from tasklift.building.mission import Mission
 from tasklift.building.reading import Reading
-from tasklift.building.search import search_and_clear
-from tasklift.building.simulator import SearchOutcomes
-from tasklift.building.team import SCOUT, WEAPON, Kind
+from tasklift.building.team import Kind, parse_team
+from tasklift.checks import one_of, whole_number
 from tasklift.errors import TaskliftError
-from tasklift.lab import Cell, CellResult, Spec, grid
-from tasklift.learning.chances import BUDGET_STAGE, DRILL_STAGE, GREEDY_STAGE, TARGET_STAGE
-from tasklift.learning.learner import Curve
-from tasklift.learning.reinforcement import Reinforcement, reinforce
-from tasklift.studies.arms import arm_named, learn_source, start_policy
+from tasklift.lab import Cell, CellResult, Spec
+from tasklift.learning.chances import GREEDY_STAGE
+from tasklift.learning.curriculum import Curriculum, CurriculumRun
+from tasklift.learning.learner import InTurn, Learner, Run
+from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
+from tasklift.studies.arms import ARMS, Arm, Setup, arms_named
 from tasklift.tasks.policy import Policy
-from tasklift.tasks.task import Task
 
-#: The policy that a cell ends with is used so often without learning, always its heaviest output: on its own map,
-#: and on one that it has never seen.
+if TYPE_CHECKING:
+    from tasklift.building.simulator import SearchOutcomes, Trace
+
+#: The policy that a cell ends with is used for this many trials without learning, always its heaviest output: on its
+#: own map, and on one that it has never seen.
 GREEDY_TRIALS = 5
+GREEDY = Fixed(Reinforcement(selection="exploitation"))
+#: What the rows of a trial may hold.
+COLUMNS = ("steps", "success", "losses", "robots_left", "teams_left", "hostiles_left", "explored", "messages")
 
-_latest = threading.local()  # V of the reading, map and seed that this thread works on: the arms share it
+_latest = threading.local()  # what the arms of one map and seed share in this thread: V, and drills
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Under which rules arms learn: the world's, the learner's, and the number of hostiles."""
+
+    reading: Reading = field(default_factory=Reading)
+    reinforcement: Reinforcement = field(default_factory=Reinforcement)
+    hostiles: int = 1
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what differs from the defaults."""
+        found: dict[str, Any] = {"hostiles": self.hostiles}
+        for name in ("reading", "reinforcement"):
+            mine, usual = (dataclasses.asdict(getattr(c, name)) for c in (self, Condition()))
+            found[name] = {key: value for key, value in mine.items() if value != usual[key]}
+        return found
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Condition:
+        """Undo :meth:`to_json`."""
+        rules = Reinforcement(**document["reinforcement"])
+        return cls(Reading.from_json(document["reading"]), rules, document["hostiles"])
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some arms, under some conditions, on some maps, with some seeds; all by name."""
+
+    arms: tuple[str, ...]
+    conditions: tuple[str, ...]
+    maps: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Record:
+    """What is kept of every cell.
+
+    Attributes
+    ----------
+    columns
+        Of :data:`COLUMNS`, for every trial.
+    stages
+        Of these stages; empty: of all.
+    policy
+        Whether the learned policy is used greedily afterwards, and its weights are summed up.
+    """
+
+    columns: tuple[str, ...] = COLUMNS
+    stages: tuple[str, ...] = ()
+    policy: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
     """What is compared with what, and on how much.
 
-    Attributes
+    Parameters
     ----------
     buildings
+        The maps, by name.
+    conditions
         By name.
-    readings
-        The world's rules, by name.
-    arms
-        Names of :data:`tasklift.studies.arms.ARMS`.
-    seeds
-        How many; the seeds are 0, 1, ….
+    parts
+        Which cells there are; :meth:`every` makes the plain case.
+    axis
+        What the conditions are called in stores: ``reading``, or ``hostiles``.
     trials
-        On the full task T.
+        On the full task T, for arms that do not say otherwise.
     repeats
         Traversals per output on the simple task V (44 outputs × 5 in the paper).
-    team, hostiles, weapons_needed, limit
+    team, weapons_needed, limit
         As in :class:`tasklift.building.Mission`.
-    reinforcement
-        The learner's settings.
     unseen
         Further buildings, on which nothing is learned: policies are tried there greedily, seed by seed in turn.
+    record
+        What is kept.
+    arms
+        The arms that ``parts`` name, by slug; default: :data:`tasklift.studies.arms.ARMS`.
+
+    Raises
+    ------
+    TaskliftError
+        For what cannot work on one of the maps or is unknown, before anything is trained.
     """
 
     buildings: Mapping[str, Building]
-    readings: Mapping[str, Reading]
-    arms: tuple[str, ...]
-    seeds: int = 5
+    conditions: Mapping[str, Condition]
+    parts: tuple[Part, ...]
+    axis: str = "reading"
     trials: int = 100
     repeats: int = 5
-    team: Mapping[Kind, int] = field(default_factory=lambda: {SCOUT: 10, WEAPON: 5})
-    hostiles: int = 1
+    team: str | Mapping[Kind, int] = "10+5"
     weapons_needed: int = 2
     limit: int = 600
-    reinforcement: Reinforcement = field(default_factory=Reinforcement)
     unseen: Mapping[str, Building] = field(default_factory=dict)
+    record: Record = field(default_factory=Record)
+    arms: Mapping[str, Arm] = field(default_factory=lambda: ARMS)
+
+    @classmethod
+    def every(
+        cls,
+        buildings: Mapping[str, Building],
+        conditions: Mapping[str, Condition],
+        arms: Iterable[str | Arm],
+        *,
+        seeds: int = 5,
+        **options: Any,
+    ) -> Study:
+        """Return the study of every arm under every condition on every map with the seeds 0, 1, ….
+
+        Parameters
+        ----------
+        buildings, conditions
+            By name.
+        arms
+            Slugs, or arms of your own.
+        seeds
+            How many.
+        options
+            The other parameters of :class:`Study`.
+
+        Raises
+        ------
+        TaskliftError
+            As :class:`Study` does.
+        """
+        whole_number(seeds, "seeds", 1)
+        given = [arm if isinstance(arm, Arm) else arms_named([arm])[0] for arm in arms]
+        slugs = tuple(arm.slug for arm in given)
+        part = Part(slugs, tuple(conditions), tuple(buildings), tuple(range(seeds)))
+        return cls(buildings, conditions, (part,), arms=ARMS | {arm.slug: arm for arm in given}, **options)
 
     def __post_init__(self) -> None:
-        for name in ("seeds", "trials", "repeats"):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-                raise TaskliftError(f"{name}: expected a whole number of at least 1, found {value!r}")
-        for name in self.arms:
-            arm_named(name)
-        for reading in self.readings:
-            for building in (*self.buildings, *self.unseen):
-                self.mission(reading, building)  # refuses before anything is trained what cannot work
+        object.__setattr__(self, "team", parse_team(self.team))
+        whole_number(self.trials, "trials", 1)
+        whole_number(self.repeats, "repeats", 1)
+        for part in self.parts:
+            for name in part.maps:
+                one_of(name, list(self.buildings), "maps")
+            for name in part.conditions:
+                one_of(name, list(self.conditions), self.axis)
+            for arm in arms_named(part.arms, self.arms):
+                for condition, name in product(part.conditions, part.maps):
+                    self.mission(condition, name)
+                    if condition == part.conditions[0] and name == part.maps[0]:
+                        arm.curriculum(self._setup(condition, name)).check()
+            if part.arms and self.unseen:
+                for condition, name in product(part.conditions, self.unseen):
+                    self.mission(condition, name)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave compiled missions behind when a study travels to another process."""
+        """Leave compiled worlds behind when a study travels to another process."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
+    # ------------------------------------------------------------ what there is
+
     @cached_property
-    def _missions(self) -> dict[tuple[str, str], Mission]:
+    def _worlds(self) -> dict[str, dict[Any, Mission]]:
         return {}
 
-    def mission(self, reading: str, building: str) -> Mission:
-        """Return the mission on one building under one reading, compiled at its first use."""
-        key = (reading, building)
-        if key not in self._missions:
-            self._missions[key] = Mission(
-                {**self.buildings, **self.unseen}[building],
-                self.team,
-                hostiles=self.hostiles,
-                reading=self.readings[reading],
-                weapons_needed=self.weapons_needed,
-                limit=self.limit,
-            )
-        return self._missions[key]
+    def _setup(self, condition: str, building: str) -> Setup:
+        of = self.conditions[condition]
+        worlds = self._worlds.setdefault(building, {})
+        key = (of.hostiles, of.reading)
+        if key not in worlds:
+            place = self.buildings[building] if building in self.buildings else self.unseen[building]
+            mission = Mission(place, self.team, of.hostiles, of.reading, self.weapons_needed, self.limit)
+            worlds.setdefault(key, mission)  # threads that come at once share the first one's
+        return Setup(worlds[key], of.reinforcement, self.trials, self.repeats, worlds)
 
-    @property
-    def task(self) -> Task:
-        """The full task T."""
-        return search_and_clear()
+    def mission(self, condition: str, building: str) -> Mission:
+        """Return T's world on one building under one condition, made at its first use."""
+        return self._setup(condition, building).mission
+
+    def cell(self, condition: str, building: str, seed: int, arm: str) -> Cell:
+        """Return a cell of this study."""
+        return Cell.of((self.axis, "map", "seed", "arm"), (condition, building, str(seed), arm))
+
+    def cells(self) -> list[Cell]:
+        """Return the units of work: those of one map and seed side by side, the first seeds first."""
+        asked: dict[tuple[int, str, str], dict[str, None]] = {}
+        for part in self.parts:
+            for place in product(part.seeds, part.maps, part.conditions):
+                asked.setdefault(place, {}).update(dict.fromkeys(part.arms))
+        maps, conditions = list(self.buildings), list(self.conditions)
+        order = sorted(asked, key=lambda at: (at[0], maps.index(at[1]), conditions.index(at[2])))
+        return [self.cell(of, name, seed, arm) for seed, name, of in order for arm in asked[seed, name, of]]
+
+    def slugs(self, building: str) -> list[str]:
+        """Return the arms that are trained on one building."""
+        return list(dict.fromkeys(slug for part in self.parts if building in part.maps for slug in part.arms))
+
+    def curriculum(self, cell: Cell) -> Curriculum:
+        """Return the curriculum of a cell's arm, made for its map and condition."""
+        return arms_named([cell["arm"]], self.arms)[0].curriculum(self._setup(cell[self.axis], cell["map"]))
+
+    # ------------------------------------------------------------ what is done
+
+    def train(self, cell: Cell) -> CurriculumRun:
+        """Train one arm on one map with one seed under one condition."""
+        return self.curriculum(cell).run(int(cell["seed"]), shared=self._shared(cell))
+
+    def work(self, cell: Cell) -> CellResult:
+        """Train a cell, use what it learned greedily, and keep of it what :attr:`record` says."""
+        run, arm = self.train(cell), self.arms[cell["arm"]]
+        kept = {name: _columns(outcomes) for name, outcomes in run.outcomes.items() if name not in arm.unspent}
+        last = kept[next(reversed(run.outcomes))]
+        summary: dict[str, Any] = {
+            "steps": float(last["steps"].mean()),
+            "losses": int(last["losses"].sum()),
+            "out_of_time": float(1.0 - last["success"].mean()),
+            "would_be_losses": sum(entry.would_be for entry in run.ledger.entries),
+            "trials": sum(len(columns["steps"]) for columns in kept.values()),
+        }
+        attachments: dict[str, Any] = {}
+        if self.record.policy:
+            attachments |= self._coverage(cell, run)
+            if "target" in run.outcomes:
+                attachments["move_weights"] = move_weights(run.policy)
+                for name, place in self._tried(cell).items():
+                    kept[name] = _columns(self._greedily(cell, place, run.policy))
+                    for column in ("steps", "losses", "success"):
+                        summary[f"{name}_{column}"] = float(kept[name][column].mean())
+        stages = self.record.stages or (tuple(kept) if arm.rows else ())
+        rows = {
+            stage: {name: kept[stage][name] for name in self.record.columns} for stage in stages if stage in kept
+        }
+        return CellResult(rows, summary, attachments)
+
+    def replay(self, cell: Cell, trial: int, stage: str = "target") -> Trace:
+        """Play one trial again, step by step, exactly as the unbroken run has it.
+
+        Parameters
+        ----------
+        cell
+            Of this study.
+        trial
+            Its number in the stage, counted from 0.
+        stage
+            A stage of the arm's curriculum; or ``greedy`` or ``unseen``, the use afterwards without learning.
+
+        Raises
+        ------
+        TaskliftError
+            If there is no such stage, or it ends before that trial.
+        """
+        seed, curriculum = int(cell["seed"]), self.curriculum(cell)
+        if stage in self._tried(cell):
+            mission = self.mission(cell[self.axis], self._tried(cell)[stage])
+            return mission.simulator.trace(
+                self.train(cell).policy, seed=seed, trial=trial, stage=GREEDY_STAGE,
+                reinforcement=GREEDY.reinforcement, learn=False,
+            )  # fmt: skip
+        policy = curriculum.policy_at(seed, stage, trial, shared=self._shared(cell))
+        played = next(s for s in curriculum.stages if s.name == stage)
+        learner, output = _at(played.learner, trial), None
+        if isinstance(learner, Sweep):
+            output = trial % policy.task.shape[1]
+        rules = learner if isinstance(learner, Reinforcement) else learner.reinforcement  # type: ignore[attr-defined]
+        return played.world.simulator.trace(  # type: ignore[union-attr]
+            policy, seed=seed, trial=trial, stage=played.key, reinforcement=rules, output=output,
+            learn=not isinstance(learner, Fixed),
+        )  # fmt: skip
+
+    def stage_trials(self, cell: Cell, stage: str = "target") -> int:
+        """Return how many trials a stage of a cell has; stages as in :meth:`replay`."""
+        if stage in self._tried(cell):
+            return GREEDY_TRIALS
+        for one in self.curriculum(cell).stages:
+            if one.name == stage:
+                return one.trials or one.learner.trials(one.task)  # type: ignore[attr-defined]
+        names = [one.name for one in self.curriculum(cell).stages]
+        raise TaskliftError(f"cell {cell}: no stage {stage!r}; there are {', '.join([*names, *self._tried(cell)])}")
+
+    def _tried(self, cell: Cell) -> dict[str, str]:
+        """Return the map of each greedy use."""
+        places = {"greedy": cell["map"]}
+        if self.unseen:
+            places["unseen"] = list(self.unseen)[int(cell["seed"]) % len(self.unseen)]
+        return places
+
+    def _greedily(self, cell: Cell, building: str, policy: Policy) -> Any:
+        mission = self.mission(cell[self.axis], building)
+        return GREEDY.learn(mission, policy, Run(int(cell["seed"]), GREEDY_STAGE, trials=GREEDY_TRIALS)).outcomes
+
+    def _coverage(self, cell: Cell, run: CurriculumRun) -> dict[str, Any]:
+        """Return what V taught about CA, where the arm has learned V."""
+        if "source" not in run.outcomes:
+            return {}
+        source = Curriculum(self.curriculum(cell).stages[:1], block=None)
+        learned = source.run(int(cell["seed"]), shared=self._shared(cell)).policy
+        steps = run.outcomes["source"].steps
+        return {
+            "ca_weights": ca_weights(learned),
+            # the outputs in order, again and again: repeat, MV, WPN, CA
+            "ca_steps": steps.reshape(-1, 2, 2, 11)[:, 1].mean(axis=(0, 1)),
+        }
+
+    def _shared(self, cell: Cell) -> dict[Any, CurriculumRun]:
+        group = (self, cell["map"], cell["seed"])
+        if getattr(_latest, "group", None) != group:
+            _latest.group, _latest.known = group, {}
+        known: dict[Any, CurriculumRun] = _latest.known
+        return known
+
+    # ------------------------------------------------------------ as data
 
     def spec(self, name: str) -> Spec:
-        """Return the study as data: equal specs give equal rows."""
+        """Return the study as data: rows of equal specs are equal. More seeds, maps or arms do not make it another one.
+
+        Parameters
+        ----------
+        name
+            For people.
+        """
+        seeds = sorted({seed for part in self.parts for seed in part.seeds})
         return Spec.of(
             name,
             {
-                "maps": {key: building.content_id for key, building in self.buildings.items()},
-                "readings": {key: dataclasses.asdict(reading) for key, reading in self.readings.items()},
-                "arms": list(self.arms),
-                "seeds": self.seeds,
+                "otherwise": dataclasses.asdict(Condition()),
                 "trials": self.trials,
                 "repeats": self.repeats,
-                "team": [[kind.name, kind.speed_mm, kind.armed, n] for kind, n in self.team.items()],
-                "hostiles": self.hostiles,
+                "team": [[kind.name, kind.speed_mm, kind.armed, n] for kind, n in self.team.items()],  # type: ignore[union-attr]
                 "weapons_needed": self.weapons_needed,
                 "limit": self.limit,
-                "reinforcement": dataclasses.asdict(self.reinforcement),
                 "greedy_trials": GREEDY_TRIALS,
-                "unseen": {key: building.content_id for key, building in self.unseen.items()},
+                "unseen": {name: _of_building(building) for name, building in self.unseen.items()},
+                "record": dataclasses.asdict(self.record),
             },
-            {"reading": list(self.readings), "map": list(self.buildings), "seed": range(self.seeds), "arm": self.arms},
+            {
+                self.axis: {name: condition.to_json() for name, condition in self.conditions.items()},
+                "map": {name: _of_building(building) for name, building in self.buildings.items()},
+                "seed": seeds,
+                "arm": dict.fromkeys(arm for part in self.parts for arm in part.arms),
+            },
             over=("map", "seed"),
         )
 
-    def cells(self) -> list[Cell]:
-        """Return the units of work."""
-        return grid(reading=self.readings, map=self.buildings, seed=range(self.seeds), arm=self.arms)
+    @classmethod
+    def from_spec(cls, spec: Spec, folder: Path, arms: Mapping[str, Arm] = ARMS) -> Study:
+        """Return the study of which ``spec`` is the specification, with every combination of its axes as a cell.
 
-    def work(self, cell: Cell) -> CellResult:
-        """Train one arm on one map with one seed under one reading, then use what it learned greedily."""
-        policy, stages = self._train(cell)
-        columns = {stage: _columns(outcomes) for stage, outcomes in stages.items()}
-        columns["greedy"] = _columns(self._greedy(cell, cell["map"], policy))
-        if self.unseen:
-            place = list(self.unseen)[int(cell["seed"]) % len(self.unseen)]
-            columns["unseen"] = _columns(self._greedy(cell, place, policy))
-        attachments: dict[str, Any] = {"move_weights": move_weights(policy)}
-        if cell["arm"] == "copy":
-            attachments["ca_weights"] = ca_weights(self._source(cell).policy)
-        return CellResult(stages=columns, summary=_summary(columns), attachments=attachments)
+        Parameters
+        ----------
+        spec
+            Of an experiment's store.
+        folder
+            Where buildings that were not generated lie, as ``.json`` files.
+        arms
+            By slug.
 
-    def _greedy(self, cell: Cell, building: str, policy: Policy) -> SearchOutcomes:
-        """Use a policy without learning, always its heaviest output."""
-        return self.mission(cell["reading"], building).run(
-            policy.task,
-            policy.weights.copy(),
-            trials=GREEDY_TRIALS,
-            seed=int(cell["seed"]),
-            stage=GREEDY_STAGE,
-            reinforcement=Reinforcement(selection="exploitation"),
-            learn=False,
-        )
-
-    def learned(self, cell: Cell) -> Policy:
-        """Train one cell again and return the policy that it ends with."""
-        return self._train(cell)[0]
-
-    def start(self, cell: Cell) -> Policy:
-        """Return the policy with which a cell enters T, before any trial there."""
-        arm = arm_named(cell["arm"])
-        source = self._source(cell).policy if arm.needs_source else None
-        return start_policy(arm.start, self.task, source, self.reinforcement.initial_weight)
-
-    def before(self, cell: Cell, trial: int) -> Policy:
-        """Return the policy with which a cell enters one of its trials on T, counted from 1."""
-        policy, _ = self._enter(cell)
-        arm = arm_named(cell["arm"])
-        if not arm.learns or trial == 1:
-            return policy
-        rules, mission = arm.reinforcement(self.reinforcement), self.mission(cell["reading"], cell["map"])
-        return reinforce(mission, policy, trials=trial - 1, seed=int(cell["seed"]), reinforcement=rules).policy
-
-    def _train(self, cell: Cell) -> tuple[Policy, dict[str, SearchOutcomes]]:
-        """Return the policy at the end and the outcomes of each stage: source, budget, drill, target."""
-        mission, arm = self.mission(cell["reading"], cell["map"]), arm_named(cell["arm"])
-        rules = arm.reinforcement(self.reinforcement)
-        policy, stages = self._enter(cell)
-        if not arm.learns:
-            stages["target"] = mission.run(
-                policy.task,
-                policy.weights.copy(),
-                trials=self.trials,
-                seed=int(cell["seed"]),
-                stage=TARGET_STAGE,
-                reinforcement=rules,
-                learn=False,
+        Raises
+        ------
+        TaskliftError
+            If it is the specification of something else, or a building is not there.
+        """
+        settings, axes = spec.settings, spec.axes
+        try:
+            axis, (maps, seeds, slugs) = next(iter(axes)), (axes[name] for name in ("map", "seed", "arm"))
+            conditions = axes[axis]
+            kept = settings["record"]
+            return cls(
+                {name: _building(folder, name, of) for name, of in maps.items()},
+                {name: Condition.from_json(of) for name, of in conditions.items()},
+                (Part(tuple(slugs), tuple(conditions), tuple(maps), tuple(int(seed) for seed in seeds)),),
+                axis=axis,
+                team={Kind(name, speed, armed): n for name, speed, armed, n in settings["team"]},
+                unseen={name: _building(folder, name, of) for name, of in settings["unseen"].items()},
+                record=Record(tuple(kept["columns"]), tuple(kept["stages"]), kept["policy"]),
+                arms=arms,
+                **{key: settings[key] for key in ("trials", "repeats", "weapons_needed", "limit")},
             )
-            return policy, stages
-        curve = reinforce(mission, policy, trials=self.trials, seed=int(cell["seed"]), reinforcement=rules)
-        stages["target"] = curve.outcomes
-        return curve.policy, stages
-
-    def _enter(self, cell: Cell) -> tuple[Policy, dict[str, Any]]:
-        """Return the policy with which a cell enters T, and the outcomes of the stages before."""
-        mission, arm = self.mission(cell["reading"], cell["map"]), arm_named(cell["arm"])
-        rules = arm.reinforcement(self.reinforcement)
-        policy = self.start(cell)
-        stages: dict[str, Any] = {}
-        if arm.needs_source:
-            stages["source"] = self._source(cell).outcomes
-        budget = self.repeats * policy.task.shape[1] if arm.budget < 0 else arm.budget
-        before = (
-            ("budget", mission, budget, BUDGET_STAGE, rules),
-            (
-                "drill",
-                mission.with_reading(drill=True),
-                arm.drills,
-                DRILL_STAGE,
-                replace(rules, selection="exploration"),
-            ),
-        )
-        for name, world, trials, stage, how in before:
-            if trials:
-                spent = reinforce(world, policy, trials=trials, seed=int(cell["seed"]), stage=stage, reinforcement=how)
-                policy, stages[name] = spent.policy, spent.outcomes
-        return policy, stages
-
-    def _source(self, cell: Cell) -> Curve:
-        """V of a cell, learned once for all arms that share it."""
-        mission = self.mission(cell["reading"], cell["map"])
-        key = (int(cell["seed"]), self.repeats, self.reinforcement)
-        if getattr(_latest, "mission", None) is not mission or _latest.key != key:
-            _latest.curve = learn_source(
-                mission, repeats=self.repeats, seed=int(cell["seed"]), reinforcement=self.reinforcement
-            )
-            _latest.mission, _latest.key = mission, key
-        curve: Curve = _latest.curve
-        return curve
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            if isinstance(error, TaskliftError):
+                raise
+            raise TaskliftError(
+                f"{folder}: not a study of missions by this release of tasklift ({error!r}); `tasklift runs show` "
+                "lists its settings"
+            ) from error
 
 
-def _columns(outcomes: SearchOutcomes) -> dict[str, NDArray[Any]]:
+def _at(learner: Learner, trial: int) -> Learner:
+    """Return the learner whose turn a trial is."""
+    if not isinstance(learner, InTurn):
+        return learner
+    return learner.learners[sum(start <= trial for start in learner.starts) - 1]
+
+
+def _of_building(building: Building) -> dict[str, Any]:
+    """Return a building's content, and how it was generated, if it was."""
+    made = building.provenance
     return {
-        "steps": outcomes.steps,
-        "success": outcomes.success,
-        "losses": outcomes.losses,
-        "robots_left": outcomes.robots_left.sum(axis=1),
-        "teams_left": outcomes.teams_left,
-        "hostiles_left": outcomes.hostiles_left,
-        "explored": outcomes.explored.astype(np.float32),
-        "messages": outcomes.messages,
+        "content": building.content_id,
+        "generated": made.get("arguments") if made.get("source") == "tasklift.building.generate" else None,
     }
 
 
-def _summary(columns: Mapping[str, Mapping[str, NDArray[Any]]]) -> dict[str, Any]:
-    target = columns["target"]
-    summary = {
-        "steps": float(target["steps"].mean()),
-        "losses": int(target["losses"].sum()),
-        "out_of_time": float(1.0 - target["success"].mean()),
+def _building(folder: Path, name: str, of: Mapping[str, Any]) -> Building:
+    """Return the building of that content: generated again, or beside the experiment."""
+    if of["generated"]:
+        building = generate(**of["generated"])
+        if building.content_id == of["content"]:
+            return building
+    for file in sorted(folder.rglob("*.json")):
+        try:
+            building = Building.load(file)
+        except TaskliftError:
+            continue  # a policy, for example
+        if building.content_id == of["content"]:
+            return building
+    raise TaskliftError(f"{folder}: the building {name!r} of this experiment is gone; put its .json file back there")
+
+
+def _columns(outcomes: Any) -> dict[str, NDArray[Any]]:
+    found: SearchOutcomes = outcomes
+    return {
+        "steps": found.steps,
+        "success": found.success,
+        "losses": found.losses,
+        "robots_left": found.robots_left.sum(axis=1),
+        "teams_left": found.teams_left,
+        "hostiles_left": found.hostiles_left,
+        "explored": found.explored.astype(np.float32),
+        "messages": found.messages,
     }
-    for stage in ("greedy", "unseen"):
-        if stage in columns:
-            for name in ("steps", "losses", "success"):
-                summary[f"{stage}_{name}"] = float(columns[stage][name].mean())
-    return summary
 
 
 def move_weights(policy: Policy) -> NDArray[np.float64]:
@@ -275,3 +481,16 @@ def move_weights(policy: Policy) -> NDArray[np.float64]:
 def ca_weights(source: Policy) -> NDArray[np.float64]:
     """Return Figure 3's curve, float64 (11,): V's mean weight by CA where robots move, over all else."""
     return source.weights.reshape(15, 2, 2, 11)[:, 1].mean(axis=(0, 1))
+
+
+def generated(seeds: Sequence[int], **options: Any) -> dict[str, Building]:
+    """Return generated buildings by name: ``map-0`` has the seed 0.
+
+    Parameters
+    ----------
+    seeds
+        Of the buildings.
+    options
+        As in :func:`tasklift.building.generate`.
+    """
+    return {f"map-{seed}": generate(seed=seed, **options) for seed in seeds}

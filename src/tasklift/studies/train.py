@@ -2,55 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tasklift import stats
 from tasklift.building.graph import Building
 from tasklift.building.reading import PRESETS
-from tasklift.building.team import SCOUT, WEAPON
-from tasklift.lab import FILE_NAME, Cell, Progress, Store, run
+from tasklift.checks import one_of
+from tasklift.errors import TaskliftError
+from tasklift.files import output_folder
+from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import export
 from tasklift.plans.read import load_building
+from tasklift.report import pictures
 from tasklift.report.page import Report
 from tasklift.studies import report
 from tasklift.studies.arms import ARMS
+from tasklift.studies.claims import indirect
 from tasklift.studies.paper import figures
-from tasklift.studies.paper.claims import Sample, all_samples
-from tasklift.studies.study import Study
+from tasklift.studies.samples import Sample
+from tasklift.studies.study import Condition, Study
 
-TRAINED = ("random", "expert", "direct", "copy", "prior", "copy+prior")
+TRAINED = ("random", "expert", "direct", "copy", "prior", "copy-prior")
 
 
 def train(
     *,
     building: Path,
-    team: tuple[int, int] = (10, 5),
+    team: str = "10+5",
     hostiles: int = 1,
     weapons_needed: int = 2,
     limit: int = 600,
     preset: str = "scattered",
+    arms: Sequence[str] = TRAINED,
     seeds: int = 5,
     trials: int = 100,
     out: Path | None = None,
-    engine: str = "threads",
-    workers: int | None = None,
-    address: str | None = None,
+    command: str = "",
     progress: Progress | None = None,
+    **engine: Any,
 ) -> tuple[list[str], Path]:
-    """Train the arms on one building.
+    """Train arms on one building.
 
     Parameters
     ----------
     building
         File of the building.
-    team
-        Numbers of scouts and weapon robots.
+    team, hostiles, weapons_needed, limit
+        As in :class:`tasklift.building.Mission`.
+    preset
+        ``scattered`` or ``cohesive``.
+    arms
+        Slugs; at least one that learns.
+    seeds, trials
+        How many; trials on T, for arms that do not say otherwise.
     out
         Folder; default ``runs/`` and the building's file name.
-    hostiles, weapons_needed, limit, preset, seeds, trials, engine, workers, address, progress
-        As on the command line.
+    command
+        The line that runs this again, for the report.
+    progress, engine
+        As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
 
     Returns
     -------
@@ -63,78 +77,68 @@ def train(
         Before anything is trained or overwritten.
     """
     place = load_building(building)
-    study = Study(
+    rules = PRESETS[one_of(preset, list(PRESETS), "preset")]
+    study = Study.every(
         {building.stem: place},
-        {preset: PRESETS[preset]},
-        TRAINED,
+        {preset: Condition(rules, hostiles=hostiles)},
+        arms,
         seeds=seeds,
         trials=trials,
-        team={SCOUT: team[0], WEAPON: team[1]},
-        hostiles=hostiles,
+        team=team,
         weapons_needed=weapons_needed,
         limit=limit,
     )
-    folder = report.prepare_folder(out if out is not None else Path("runs") / building.stem)
+    if not any(study.arms[slug].learns for slug in arms):
+        raise TaskliftError("arms: none of those named learns; add direct or copy-prior")
+    folder = output_folder(out if out is not None else Path("runs") / building.stem, (FILE_NAME,))
     with Store.open(folder / FILE_NAME, study.spec(f"training on {building.name}")) as store:
-        run(
-            store,
-            study.cells(),
-            study.work,
-            engine=engine,
-            workers=workers,
-            address=address,
-            progress=progress,
-        )
-        samples = all_samples(store, preset)
+        run(store, study.cells(), study.work, progress=progress, **engine)
+        samples = {slug: Sample.of(store, slug, reading=preset) for slug in arms}
         export(folder, folder / "rows.csv")
         report.save_policies(study, folder / "policies", preset, building.stem)
         best = recommended(samples)
-        study.learned(Cell(reading=preset, map=building.stem, seed=0, arm=best)).save(folder / "policy.json")
+        study.train(study.cell(preset, building.stem, 0, best)).policy.save(folder / "policy.json")
         place.save(folder / "building.json")
         lines = verdict_lines(samples, best, folder)
-        command = (
-            f"tasklift train {building} --team {team[0]}+{team[1]} --hostiles {hostiles} "
-            f"--weapons-needed {weapons_needed} --limit {limit} --preset {preset} --seeds {seeds} --trials {trials} "
-            f"--out {folder}"
-        )
         path = folder / "report.html"
         _report(place, store, samples, preset, lines, command, folder).write(path)
     return lines, path
 
 
-def recommended(samples: dict[str, Sample]) -> str:
+def recommended(samples: Mapping[str, Sample]) -> str:
     """Return the learning arm whose policy, used greedily, loses the fewest robots; of equals the fastest."""
-    learning = [name for name in samples if ARMS[name].learns]
     return min(
-        learning,
-        key=lambda name: (
-            round(float(samples[name].greedy_losses.mean()), 1),
-            samples[name].greedy_steps.mean(),
+        (slug for slug in samples if ARMS[slug].learns),
+        key=lambda slug: (
+            round(float(samples[slug].greedy_losses.mean()), 1),
+            samples[slug].greedy_steps.mean(),
         ),
     )
 
 
-def verdict_lines(samples: dict[str, Sample], best: str, folder: Path) -> list[str]:
+def verdict_lines(samples: Mapping[str, Sample], best: str, folder: Path) -> list[str]:
     """Say what the transfer brought on this building, and which policy to take."""
     lines = []
-    direct = samples["direct"]
-    for name in ("copy", "copy+prior"):
-        sample = samples[name]
-        lost = stats.paired_difference(sample.losses.mean(axis=1), direct.losses.mean(axis=1))
-        steps = stats.paired_difference(sample.steps.mean(axis=1), direct.steps.mean(axis=1))
+    for arm in indirect(samples):
+        reference = next((slug for slug in ARMS[arm].against if slug in samples), None)
+        if reference is None:
+            continue
+        a, b = samples[arm], samples[reference]
+        lost = stats.paired_difference(a.losses.mean(axis=1), b.losses.mean(axis=1))
+        steps = stats.paired_difference(a.steps.mean(axis=1), b.steps.mean(axis=1))
         lines.append(
-            f"{name} against direct while learning: robots lost a trial {sample.losses.mean():.1f} against "
-            f"{direct.losses.mean():.1f} (difference {lost}), steps {sample.steps.mean():.0f} against "
-            f"{direct.steps.mean():.0f} (difference {steps})"
+            f"{ARMS[arm].label} against {ARMS[reference].label} while learning: robots lost a trial "
+            f"{a.losses.mean():.1f} against {b.losses.mean():.1f} (difference {lost}), steps {a.steps.mean():.0f} "
+            f"against {b.steps.mean():.0f} (difference {steps})"
         )
     sample = samples[best]
     lines.append(
-        f"policy to take: {folder / 'policy.json'} (arm {best}; greedily {sample.greedy_steps.mean():.0f} steps and "
-        f"{sample.greedy_losses.mean():.1f} robots lost a trial)"
+        f"policy to take: {folder / 'policy.json'} (arm {ARMS[best].label}; greedily "
+        f"{sample.greedy_steps.mean():.0f} steps and {sample.greedy_losses.mean():.1f} robots lost a trial)"
     )
     if float(np.mean([s.success.mean() for s in samples.values()])) < 0.1:
         lines.append(
-            f"hardly any trial was solved within {direct.limit} steps: give --limit a larger number or the team more "
+            f"hardly any trial was solved within {sample.limit} steps: give --limit a larger number or the team more "
             "weapon robots (every door where one waits alone needs another)"
         )
     return lines
@@ -143,26 +147,25 @@ def verdict_lines(samples: dict[str, Sample], best: str, folder: Path) -> list[s
 def _report(
     place: Building,
     store: Store,
-    samples: dict[str, Sample],
+    samples: Mapping[str, Sample],
     preset: str,
-    lines: list[str],
+    lines: Sequence[str],
     command: str,
     folder: Path,
 ) -> Report:
     page = Report(f"Training on {place.name}")
     page.verdict(*lines)
     (folder / "figures").mkdir(exist_ok=True)
-    picture, _ = figures.save(figures.figure1(place), folder / "figures", "building")
+    picture, _ = pictures.save(figures.figure1(place), folder / "figures", "building")
     page.figure(picture, "The building as a plan and as its graph.")
-    page.section("The arms")
-    page.table(["arm", "what it is"], [[name, ARMS[name].meaning] for name in samples])
+    report.add_arms(page, samples)
     page.table(*report.arm_table(samples), caption=f"Preset **{preset}**")
     page.section("Learning curves")
     report.add_curves(page, samples, preset)
     page.section("Stop or move, by the feature faced")
-    for arm in ("copy", "copy+prior"):
-        report.add_move_weights(page, samples[arm], arm)
+    for arm in indirect(samples):
+        report.add_move_weights(page, samples[arm], ARMS[arm].label)
     page.section("The ledger: what was spent and lost, by stage")
-    page.table(report.LEDGER_HEADERS, report.ledger_rows(store, preset), caption="Per seed")
+    page.table(report.LEDGER_HEADERS, report.ledger_rows(samples), caption="Per seed")
     report.add_settings(page, store, command)
     return page

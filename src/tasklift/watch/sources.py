@@ -1,4 +1,4 @@
-"""What can be watched: policies on a building, the arms of the paper, any trial of an experiment.
+"""What can be watched: policies on a building, arms on a building, any trial of an experiment.
 
 Nothing is recorded while robots learn. A trial is a function of its building, seed, arm and number, so it is
 computed again up to its beginning, then traced.
@@ -6,21 +6,15 @@ computed again up to its beginning, then traced.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tasklift.building.generate import generate
-from tasklift.building.graph import Building
 from tasklift.building.mission import Mission
-from tasklift.building.reading import Reading
-from tasklift.building.team import Kind
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, Store
 from tasklift.learning.chances import GREEDY_STAGE, TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
-from tasklift.studies.arms import ARMS, arm_named
 from tasklift.studies.study import Study
 from tasklift.tasks.policy import Policy
 
@@ -29,6 +23,8 @@ if TYPE_CHECKING:
 
 #: More floor plans than this are too small to read
 MOST = 9
+#: What is shown unless somebody asks for other arms.
+USUAL = ("direct", "copy", "copy-prior")
 
 
 def policy_traces(
@@ -59,145 +55,113 @@ def policy_traces(
 
 
 def study_traces(
-    study: Study, *, reading: str, map: str, seed: int, arms: Sequence[str], trials: Sequence[int]
+    study: Study,
+    *,
+    condition: str,
+    map: str,
+    seed: int,
+    arms: Sequence[str],
+    trials: Sequence[int] | None = None,
+    stage: str = "target",
 ) -> list[tuple[str, Trace]]:
-    """Trace trials (counted from 1) of arms on one map with one seed, each as the unbroken run has it."""
-    if len(arms) * len(trials) > MOST:
-        raise TaskliftError(f"watch: {len(arms)} arms at {len(trials)} trials each; expected at most {MOST} in all")
+    """Trace trials of arms on one map with one seed, each as the unbroken run has it.
+
+    Parameters
+    ----------
+    study
+        The experiment.
+    condition, map, seed, arms
+        The cells; arms by slug.
+    trials
+        Counted from 1; by default the last one.
+    stage
+        As in :meth:`.Study.replay`.
+
+    Raises
+    ------
+    TaskliftError
+        If there is no such cell, stage or trial, or these are too many.
+    """
+    cells = [study.cell(condition, map, seed, arm) for arm in arms]
+    several = len(cells) * len(trials or [1])
+    if several > MOST:
+        raise TaskliftError(f"watch: asked for {several} trials side by side; expected at most {MOST}")
     traces = []
-    for name in arms:
-        cell = Cell(reading=reading, map=map, seed=seed, arm=name)
-        for trial in trials:
-            trace = _trial(study, cell, trial)
-            several = f"trial {trial}" if len(arms) == 1 else f"{name}, trial {trial}"
-            traces.append((name if len(trials) == 1 else several, trace))
+    for cell in cells:
+        label, last = study.arms[cell["arm"]].label, study.stage_trials(cell, stage)
+        for trial in trials or [last]:
+            if not 1 <= trial <= last:
+                raise TaskliftError(f"watch: {label} has the trials 1 to {last} in stage {stage!r}, not trial {trial}")
+            trace = study.replay(cell, trial - 1, stage)
+            if trials is not None and len(trials) > 1:
+                traces.append((f"trial {trial}" if len(cells) == 1 else f"{label}, trial {trial}", trace))
+            else:
+                traces.append((label, trace))
     return traces
-
-
-def arm_names(text: str) -> list[str]:
-    """Split a list of arms at its commas, but not within "copy, exploitation"."""
-    names: list[str] = []
-    for part in text.split(","):
-        if names and f"{names[-1]}, {part.strip()}" in ARMS:
-            names[-1] += f", {part.strip()}"
-        elif part.strip():
-            names.append(part.strip())
-    return names
-
-
-def _trial(study: Study, cell: Cell, trial: int) -> Trace:
-    if trial < 1:
-        raise TaskliftError(f"watch: trials count from 1, found {trial}")
-    mission, arm = study.mission(cell["reading"], cell["map"]), arm_named(cell["arm"])
-    rules, policy = arm.reinforcement(study.reinforcement), study.before(cell, trial)
-    seed = int(cell["seed"])
-    return mission.simulator.trace(policy, seed=seed, trial=trial - 1, reinforcement=rules, learn=arm.learns)
 
 
 def run_traces(
     path: Path,
     *,
-    reading: str | None,
-    map: str | None,
-    seed: int,
-    arms: Sequence[str] | None,
-    trials: Sequence[int] | None,
+    condition: str | None = None,
+    map: str | None = None,
+    seed: int = 0,
+    arms: Sequence[str] | None = None,
+    trials: Sequence[int] | None = None,
+    stage: str = "target",
 ) -> list[tuple[str, Trace]]:
-    """Trace trials of an experiment, computed again from its settings and held against its rows.
+    """Trace trials of an experiment, computed again from its settings and compared with its rows.
 
     Parameters
     ----------
     path
         The experiment's folder or file.
-    reading, map
+    condition, map
         Names in the experiment; by default its first ones.
     seed
         One of the experiment's seeds.
     arms
-        Names of arms; by default ``direct``, ``copy`` and ``copy+prior`` where they are there, else the first three.
-    trials
-        Numbers, counted from 1; by default the last one.
+        Slugs; by default :data:`USUAL` where they are there, else the first three.
+    trials, stage
+        As in :func:`study_traces`.
 
     Raises
     ------
     TaskliftError
-        If there is no such cell or trial, or if this release plays the trial differently.
+        If there is no such cell, stage or trial, or if this release plays the trial differently.
     """
     with Store.read(path) as store:
-        settings = store.spec.settings
-        study = _study(settings, store.path)
-        reading = _one_of(study.readings, reading, "reading")
-        map = _one_of(study.buildings, map, "map")
-        if seed >= study.seeds:
-            raise TaskliftError(f"{path}: has the seeds 0 to {study.seeds - 1}, not {seed}")
-        usual = [arm for arm in ("direct", "copy", "copy+prior") if arm in study.arms]
-        arms = list(arms or usual or study.arms[:3])
-        for arm in arms:
-            _one_of(study.arms, arm, "arm")
-        trials = list(trials) if trials else [study.trials]
-        for trial in trials:
-            if trial > study.trials:
-                raise TaskliftError(f"{path}: has {study.trials} trials, not trial {trial}")
-        traces = study_traces(study, reading=reading, map=map, seed=seed, arms=arms, trials=trials)
-        cells = [Cell(reading=reading, map=map, seed=seed, arm=arm) for arm in arms for _ in trials]
-        _hold_against(store, cells, traces)
+        study = Study.from_spec(store.spec, store.path.parent)
+        there = sorted(store.done())
+        given = {study.axis: condition, "map": map, "seed": str(seed)}
+        for axis, wanted in given.items():
+            there = _among(there, axis, wanted)
+        slugs = list(dict.fromkeys(cell["arm"] for cell in there))
+        arms = list(arms or [arm for arm in USUAL if arm in slugs] or slugs[:3])
+        cells = [_among(there, "arm", arm)[0] for arm in arms]
+        traces = study_traces(
+            study, condition=cells[0][study.axis], map=cells[0]["map"], seed=seed, arms=arms, trials=trials, stage=stage
+        )
+        _compare(store, [cell for cell in cells for _ in trials or [1]], traces, stage)
     return traces
 
 
-def _one_of(names: Any, wanted: str | None, what: str) -> str:
-    if wanted is None:
-        return str(next(iter(names)))
-    if wanted not in names:
-        raise TaskliftError(f"{what} {wanted!r} is not in this experiment; there are: {'; '.join(map(str, names))}")
-    return wanted
+def _among(cells: Sequence[Cell], axis: str, wanted: str | None) -> list[Cell]:
+    """Return the cells with a value on an axis; by default its first value."""
+    found = [cell for cell in cells if cell[axis] == (cells[0][axis] if wanted is None else wanted)]
+    if not found:
+        values = list(dict.fromkeys(cell[axis] for cell in cells))
+        shown = ", ".join(values[:12]) + (f" and {len(values) - 12} more" if len(values) > 12 else "")
+        raise TaskliftError(f"{axis} {wanted!r} is not in this experiment; there are: {shown}")
+    return found
 
 
-def _study(settings: dict[str, Any], where: Path) -> Study:
-    """The study of which ``settings`` are the specification."""
-    try:
-        return Study(
-            {name: _building(where.parent, name, id) for name, id in settings["maps"].items()},
-            {name: Reading.from_json(options) for name, options in settings["readings"].items()},
-            tuple(settings["arms"]),
-            seeds=settings["seeds"],
-            trials=settings["trials"],
-            repeats=settings["repeats"],
-            team={Kind(name, speed, armed): n for name, speed, armed, n in settings["team"]},
-            hostiles=settings["hostiles"],
-            weapons_needed=settings["weapons_needed"],
-            limit=settings["limit"],
-            reinforcement=Reinforcement(**settings["reinforcement"]),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, TaskliftError):
-            raise
-        raise TaskliftError(
-            f"{where}: watch plays the experiments of `tasklift reproduce` and `tasklift train`; this one has other "
-            f"settings ({error!r})"
-        ) from error
-
-
-def _building(folder: Path, name: str, content_id: str) -> Building:
-    """The building of that content: beside the experiment, or generated again."""
-    for file in sorted(folder.rglob("*.json")):
-        try:
-            building = Building.load(file)
-        except TaskliftError:
-            continue  # a policy, for example
-        if building.content_id == content_id:
-            return building
-    if numbered := re.fullmatch(r"map (\d+)", name):
-        building = generate(seed=int(numbered[1]))
-        if building.content_id == content_id:
-            return building
-    raise TaskliftError(f"{folder}: the building {name!r} of this experiment is gone; put its .json file back there")
-
-
-def _hold_against(store: Store, cells: Sequence[Cell], traces: Sequence[tuple[str, Trace]]) -> None:
+def _compare(store: Store, cells: Sequence[Cell], traces: Sequence[tuple[str, Trace]], stage: str) -> None:
+    """Refuse traces that differ from the rows that were recorded."""
     for cell, (label, trace) in zip(cells, traces, strict=True):
         if cell not in store:
             continue
-        rows = store.result(cell).stages.get("target")
+        rows: Any = store.result(cell).stages.get(stage)
         if rows is None or trace.trial >= len(rows["steps"]):
             continue
         seen = (trace.steps if trace.success else trace.mission.limit, int(trace.losses[-1]))

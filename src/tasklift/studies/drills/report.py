@@ -2,41 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tasklift import stats
+from tasklift import stats, style
 from tasklift.errors import TaskliftError
-from tasklift.files import read_text, write_atomically
+from tasklift.files import output_folder, read_text, write_atomically
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import Table
+from tasklift.report import pictures
 from tasklift.report.page import Report
-from tasklift.studies.drills.study import (
-    COUNTED,
-    LOSS_SIGNAL,
-    SELECTIONS,
-    WAYS,
-    Drills,
-    choosing,
-    direct_name,
-    further_arms,
-    main_arms,
-    reading_name,
-    study,
-)
-from tasklift.studies.paper import figures
-from tasklift.studies.report import add_settings, prepare_folder
+from tasklift.studies.arms import ARMS, COUNTED, LOSS_SIGNAL, SELECTIONS, SPENT_BEFORE
+from tasklift.studies.drills.study import amounts, choosing, main_arms, starts, study, variants
+from tasklift.studies.report import add_arms, add_settings, markdown_table
+from tasklift.studies.samples import Floats, Sample
+from tasklift.studies.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 
 #: T is solved "at least as often" if the share of its counted trials that succeed is not lower, and its interval rules
 #: out that it is lower by this much. Whole runs fail or succeed: with 600 the interval is about ± 2.5 points wide.
@@ -45,35 +33,12 @@ MARGIN = 0.05
 ADMITTED = 0.1
 BEGIN, END = "<!-- results of `tasklift drills` -->", "<!-- end of results -->"
 
+Tables = dict[str, list["Contrast"]]
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """What one arm did with some number of hostiles, a row per (map, seed); ``n`` rows, ``T`` trials on T.
 
-    Attributes
-    ----------
-    maps
-        ``(n,)``: the map of each row.
-    losses, steps, success
-        ``(n, T)``: on T; these robots are lost.
-    would_be
-        ``(n, drills)``: losses in drills, where nobody is lost; None for arms without.
-    """
-
-    maps: NDArray[np.str_]
-    losses: Floats
-    steps: Floats
-    success: Floats
-    would_be: Floats | None
-
-    @classmethod
-    def of(cls, store: Store, hostiles: int, arm: str) -> Sample:
-        """Read an arm's rows."""
-        reading, names = reading_name(hostiles), ("losses", "steps", "success")
-        curves = {name: store.curves("target", name, reading=reading, arm=arm) for name in names}
-        drill = None if WAYS[arm].drilling is None else store.curves("drill", "losses", reading=reading, arm=arm)
-        values = {name: curve.values for name, curve in curves.items()}
-        return cls(curves["losses"].column("map"), **values, would_be=None if drill is None else drill.values)
+def with_hostiles(number: int) -> str:
+    """Return a number of hostiles in words."""
+    return f"{number} hostile{'s' if number > 1 else ''}"
 
 
 @dataclass(frozen=True)
@@ -138,11 +103,28 @@ def share_of_losses(arm: Floats, direct: Floats, axis: int = -1) -> Any:
 
 
 def contrast(arm: Sample, direct: Sample, *, name: str, hostiles: int, resamples: int = 4000) -> Contrast:
-    """Compare two arms that share maps and seeds row by row; direct must have run as many trials in total."""
-    total = WAYS[name].total
-    if direct.losses.shape[1] < total or not np.array_equal(arm.maps, direct.maps):
+    """Compare two arms that share maps and seeds row by row; direct must have run as many trials in total.
+
+    Parameters
+    ----------
+    arm, direct
+        What they did.
+    name
+        Slug of the arm.
+    hostiles
+        How many.
+    resamples
+        Bootstrap resamples per interval.
+
+    Raises
+    ------
+    TaskliftError
+        If direct has fewer trials, or the two are not paired.
+    """
+    total = arm.total
+    if direct.losses.shape[1] < total or not arm.paired_with(direct):
         raise TaskliftError(f"{name}: direct learning has {direct.losses.shape} trials, expected {total} paired ones")
-    late, strata = slice(total - COUNTED, total), _strata(arm.maps)
+    late, strata = slice(total - COUNTED, total), arm.strata
     lost, lost_direct = arm.losses.sum(axis=1), direct.losses[:, :total].sum(axis=1)
     last, last_direct = arm.losses[:, -COUNTED:].sum(axis=1), direct.losses[:, late].sum(axis=1)
     solved, solved_direct = arm.success[:, -COUNTED:].mean(axis=1), direct.success[:, late].mean(axis=1)
@@ -171,21 +153,16 @@ def contrast(arm: Sample, direct: Sample, *, name: str, hostiles: int, resamples
     )
 
 
-def _strata(maps: NDArray[np.str_]) -> NDArray[np.str_] | None:
-    """Return the maps, within which seeds are resampled; None where a map has one seed only, which cannot vary."""
-    return maps if np.unique(maps, return_counts=True)[1].min() > 1 else None
-
-
-def contrasts(store: Store, arms: Sequence[str], *, reference: int, resamples: int = 4000) -> list[Contrast]:
-    """Hold every arm of the store that is named against direct learning of ``reference`` trials, by hostiles."""
-    there = {(cell["reading"], cell["arm"]) for cell in store.done()}
-    numbers = sorted({int(reading.split()[0]) for reading, _ in there})
+def contrasts(store: Store, arms: Sequence[str], *, resamples: int = 4000) -> list[Contrast]:
+    """Compare every arm of the store that is named with the direct learning it is judged against, by hostiles."""
+    there = {(int(cell["hostiles"]), cell["arm"]) for cell in store.done()}
+    numbers = sorted({hostiles for hostiles, _ in there})
     found = []
     for arm in arms:
+        (reference,) = ARMS[arm].against
         for hostiles in numbers:
-            direct = direct_name(reference, WAYS[arm].selection)
-            if {(reading_name(hostiles), arm), (reading_name(hostiles), direct)} <= there:
-                first, second = (Sample.of(store, hostiles, name) for name in (arm, direct))
+            if {(hostiles, arm), (hostiles, reference)} <= there:
+                first, second = (Sample.of(store, slug, hostiles=str(hostiles)) for slug in (arm, reference))
                 found.append(contrast(first, second, name=arm, hostiles=hostiles, resamples=resamples))
     return found
 
@@ -216,7 +193,7 @@ def rows(found: Sequence[Contrast]) -> list[list[Any]]:
     for c in found:
         points = (100 * c.solved_difference.estimate, 100 * c.solved_difference.low, 100 * c.solved_difference.high)
         table.append(
-            [c.arm, c.hostiles, c.total,
+            [ARMS[c.arm].label, c.hostiles, c.total,
              f"{c.lost:.3g}, {c.lost_direct:.3g}", times_fewer(c.all_share), c.verdict(c.all_share),
              f"{c.late:.3g}, {c.late_direct:.3g}", times_fewer(c.late_share), c.verdict(c.late_share),
              times_fewer(c.first_share), f"{100 * c.solved:.1f}, {100 * c.solved_direct:.1f}",
@@ -242,10 +219,10 @@ def headline(found: Sequence[Contrast]) -> list[str]:
     for arm in order:
         held = [c for c in by_arm[arm] if c.holds]
         if held:
-            ratios = "; ".join(f"{times_fewer(c.all_share)} times fewer with {reading_name(c.hostiles)}" for c in held)
-            rest = ", ".join(reading_name(c.hostiles) for c in by_arm[arm] if not c.holds)
+            ratios = "; ".join(f"{times_fewer(c.all_share)} times fewer with {with_hostiles(c.hostiles)}" for c in held)
+            rest = ", ".join(with_hostiles(c.hostiles) for c in by_arm[arm] if not c.holds)
             lines.append(
-                f"**{arm.partition(',')[0]}: fewer robots lost than by direct learning** with the same signals in as "
+                f"**{ARMS[arm].label}: fewer robots lost than by direct learning** with the same signals in as "
                 f"many trials in all, and T solved at least as often: {ratios}."
                 f"{f' Not so with {rest}.' if rest else ''} "
                 f"{_late(by_arm[arm])}"
@@ -259,10 +236,10 @@ def _not_shown(arm: str, of_arm: Sequence[Contrast]) -> str:
     """Say what an arm without any contrast that holds came to."""
     found = "; ".join(
         f"{times_fewer(c.all_share)} times fewer robots lost, T solved in {100 * c.solved:.0f} against "
-        f"{100 * c.solved_direct:.0f} % of trials, with {reading_name(c.hostiles)}: {c.verdict(c.all_share)}"
+        f"{100 * c.solved_direct:.0f} % of trials, with {with_hostiles(c.hostiles)}: {c.verdict(c.all_share)}"
         for c in of_arm
     )
-    return f"**{arm.partition(',')[0]}: no contrast holds.** {found}."
+    return f"**{ARMS[arm].label}: no contrast holds.** {found}."
 
 
 def _late(of_arm: Sequence[Contrast]) -> str:
@@ -284,51 +261,56 @@ def _late(of_arm: Sequence[Contrast]) -> str:
 
 
 def chosen(store: Store) -> tuple[str, list[list[Any]]]:
-    """Return the variant to take, and a row per variant: name, lost a trial by hostiles, solved, admitted.
+    """Return the variant to take, and a row per variant: label, lost a trial by hostiles, solved, admitted.
 
     The rule: of the variants that lose at most a tenth of the robots that drills as they are lose (mean over 1 and 3
     hostiles), the one that solves T most often; the first in the list where they are equal.
     """
-    names = [name.removeprefix("variant: ") for name in WAYS if name.startswith("variant: ")]
-    numbers = sorted({int(cell["reading"].split()[0]) for cell in store.done()})
-    samples = {n: [Sample.of(store, h, f"variant: {n}") for h in numbers] for n in names}
-    lost = {n: [float(s.losses.mean()) for s in of] for n, of in samples.items()}
-    solved = {n: float(np.mean([s.success.mean() for s in of])) for n, of in samples.items()}
-    most = ADMITTED * float(np.mean(lost[names[0]]))
-    admitted = [n for n in names if np.mean(lost[n]) <= most] or names[:1]
-    table = [[n, *(round(x, 3) for x in lost[n]), round(100 * solved[n], 1), n in admitted] for n in names]
-    return max(admitted, key=lambda n: solved[n]), table
+    slugs = variants()
+    numbers = sorted({int(cell["hostiles"]) for cell in store.done()})
+    samples = {slug: [Sample.of(store, slug, hostiles=str(h)) for h in numbers] for slug in slugs}
+    lost = {slug: [float(s.losses.mean()) for s in of] for slug, of in samples.items()}
+    solved = {slug: float(np.mean([s.success.mean() for s in of])) for slug, of in samples.items()}
+    most = ADMITTED * float(np.mean(lost[slugs[0]]))
+    admitted = [slug for slug in slugs if np.mean(lost[slug]) <= most] or list(slugs[:1])
+    table = [
+        [ARMS[slug].label, *(round(x, 3) for x in lost[slug]), round(100 * solved[slug], 1), slug in admitted]
+        for slug in slugs
+    ]
+    return max(admitted, key=lambda slug: solved[slug]), table
 
 
-def choose(*, out: Path, workers: int | None = None, progress: Progress | None = None) -> tuple[str, Table]:
-    """Run the study of the variants; return which to take, in a line, and their table."""
+def choose(
+    *,
+    out: Path,
+    progress: Progress | None = None,
+    **engine: Any,
+) -> tuple[str, Table]:
+    """Run the study of the variants; return which to take, in a line, and their table.
+
+    Parameters
+    ----------
+    out
+        Folder; one that holds this very experiment is resumed, any other content is refused.
+    progress, engine
+        As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
+    """
     plan = choosing()
-    with Store.open(prepare_folder(out) / FILE_NAME, plan.spec()) as store:
-        run(store, plan.cells(), plan.work, workers=workers, progress=progress)
-        name, rows = chosen(store)
-    lost = [f"robots lost a trial, {reading_name(h)}" for h in plan.parts[0].hostiles]
-    line = f"of those that lose at most {ADMITTED:.0%} of what the first one does, the most often solved: {name}"
+    with Store.open(output_folder(out, (FILE_NAME,)) / FILE_NAME, plan.spec("choosing drills")) as store:
+        run(store, plan.cells(), plan.work, progress=progress, **engine)
+        slug, rows = chosen(store)
+    lost = [f"robots lost a trial, {with_hostiles(int(h))}" for h in plan.conditions]
+    line = f"of those that lose at most {ADMITTED:.0%} of what the first one does, the most often solved: {slug}"
     return line, Table("300 drills, T at q = .9", ["drills", *lost, "solved (%)", "admitted"], rows)
 
 
 # ---------------------------------------------------------------- the figure
 
 
-_LINES: dict[str, dict[str, Any]] = {
-    "direct": {"color": "#d55e00", "marker": "o"},
-    "drill": {"color": "#0072b2", "marker": "s"},
-    "every-door drill": {"color": "#009e73", "marker": "D"},
-    "copy→every-door drill": {"color": "#cc79a7", "marker": "^"},
-}
+_MARKERS = ("o", "s", "D", "^")
 
 
-def _label(arm: str) -> str:
-    return next(
-        name for name in ("copy→every-door drill", "every-door drill", "drill", "direct") if arm.startswith(name)
-    )
-
-
-@figures.styled
+@pictures.styled
 def figure(store: Store, found: Sequence[Contrast], curves_for: int) -> Figure:
     """Draw robots lost by number of hostiles, with intervals, and the learning curves of losses; logarithmic.
 
@@ -339,32 +321,33 @@ def figure(store: Store, found: Sequence[Contrast], curves_for: int) -> Figure:
     curves_for
         The number of hostiles of the learning curves.
     """
-    page = figures.page(figures.PAGE, 3.2)
+    page = pictures.page(pictures.PAGE, 3.2)
     left, right = page.subplots(1, 2, width_ratios=(2, 3))
-    arms = main_arms(SELECTIONS[0])
     numbers = sorted({c.hostiles for c in found})
-    for i, arm in enumerate(arms):
-        style, at, points = _LINES[_label(arm)], [], []
+    for i, arm in enumerate(main_arms("q90")):
+        colour = style.look(arm).line["color"]
+        at, points = [], []
         for hostiles in numbers:
-            sample = Sample.of(store, hostiles, arm)
+            sample = Sample.of(store, arm, hostiles=str(hostiles))
             at.append(hostiles + 0.12 * (i - 1.5))
-            points.append(stats.bootstrap(np.mean, sample.losses.sum(axis=1), strata=_strata(sample.maps)))
+            points.append(stats.bootstrap(np.mean, sample.losses.sum(axis=1), strata=sample.strata))
         spread = np.array([[p.estimate - p.low for p in points], [p.high - p.estimate for p in points]])
         left.errorbar(
-            at, [p.estimate for p in points], spread.clip(0), label=_label(arm), lw=1, ms=3.5, capsize=2, **style
-        )
-        _learning_curve(right, Sample.of(store, curves_for, arm), WAYS[arm].total, style["color"])
+            at, [p.estimate for p in points], spread.clip(0), label=ARMS[arm].label, lw=1, ms=3.5, capsize=2,
+            color=colour, marker=_MARKERS[i],
+        )  # fmt: skip
+        _learning_curve(right, Sample.of(store, arm, hostiles=str(curves_for)), colour)
     left.set_yscale("symlog", linthresh=1)
     left.set_ylim(bottom=0)
     left.set_xticks(numbers)
     left.set_xlabel("hostiles")
     left.set_ylabel("robots lost in all trials of a run")
-    left.set_title(f"(a) {WAYS[arms[0]].total} trials of every kind each")
+    left.set_title(f"(a) {COUNTED + SPENT_BEFORE} trials of every kind each")
     right.set_yscale("symlog", linthresh=0.01)
     right.set_ylim(bottom=0)
     right.set_xlabel("trial, V and drills included")
     right.set_ylabel("lost a trial (mean of 10)")
-    right.set_title(f"(b) {reading_name(curves_for)}; dotted: would be lost, in drills")
+    right.set_title(f"(b) {with_hostiles(curves_for)}; dotted: would be lost, in drills")
     for ax in (left, right):
         ax.grid(axis="y")
     handles, labels = left.get_legend_handles_labels()
@@ -372,15 +355,15 @@ def figure(store: Store, found: Sequence[Contrast], curves_for: int) -> Figure:
     return page
 
 
-def _learning_curve(ax: Axes, sample: Sample, total: int, colour: str) -> None:
-    begin = total - sample.losses.shape[1]
+def _learning_curve(ax: Axes, sample: Sample, colour: str) -> None:
+    begin = sample.total - sample.losses.shape[1]
     if sample.would_be is not None:
         blocks = _tens(sample.would_be)
         at = begin - sample.would_be.shape[1] + np.arange(blocks.shape[1]) * 10 + 5
         ax.plot(at, blocks.mean(axis=0), ":", color=colour, lw=1)
     blocks = _tens(sample.losses)
     at = begin + np.arange(blocks.shape[1]) * 10 + 5
-    band = stats.mean_band(blocks, strata=_strata(sample.maps), resamples=1000)
+    band = stats.mean_band(blocks, strata=sample.strata, resamples=1000)
     ax.fill_between(at, band.low, band.high, color=colour, alpha=0.15, linewidth=0)
     ax.plot(at, band.estimate, color=colour, lw=1.2)
 
@@ -401,10 +384,9 @@ def drills(
     seeds: int = 50,
     hostiles: Sequence[int] = (1, 2, 3, 4, 5),
     page: Path | None = None,
-    engine: str = "threads",
-    workers: int | None = None,
-    address: str | None = None,
+    command: str = "",
     progress: Progress | None = None,
+    **engine: Any,
 ) -> tuple[list[str], Path]:
     """Measure drills; return the headline, a line per arm, and the path of ``report.html``.
 
@@ -416,62 +398,63 @@ def drills(
         As in :func:`tasklift.studies.drills.study.study`.
     page
         A Markdown page between whose two marks the results are put, with the figure in ``pictures`` beside it.
-    engine, workers, address, progress
-        As in :func:`tasklift.lab.run`.
+    command
+        The line that runs this again, for the report.
+    progress, engine
+        As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
+
+    Raises
+    ------
+    TaskliftError
+        Before anything is trained or overwritten.
     """
     if page is not None:
         paste("", page, write=False)  # refuses before the work what cannot take the results
-    plan, folder = study(maps=maps, seeds=seeds, hostiles=hostiles), prepare_folder(out)
-    with Store.open(folder / FILE_NAME, plan.spec()) as store:
-        run(store, plan.cells(), plan.work, engine=engine, workers=workers, address=address, progress=progress)
-        tables = dict(_tables(store))
+    plan, folder = study(maps=maps, seeds=seeds, hostiles=hostiles), output_folder(out, (FILE_NAME,))
+    with Store.open(folder / FILE_NAME, plan.spec("drills")) as store:
+        run(store, plan.cells(), plan.work, progress=progress, **engine)
+        tables = _tables(store)
         main = next(iter(tables.values()))
         says = headline(main)
         drawn = figure(store, main, 3 if 3 in hostiles else hostiles[0])
-        picture, _ = figures.save(drawn, folder, "drills")
+        picture, _ = pictures.save(drawn, folder, "drills")
         text = markdown(says, tables, plan)
         write_atomically(folder / "drills.md", text)
-        spans = f"{hostiles[0]}-{hostiles[-1]}" if len(hostiles) > 1 else f"{hostiles[0]}"
-        command = f"tasklift drills --maps {maps} --seeds {seeds} --hostiles {spans} --out {out}"
         _report(says, tables, plan, picture, store, command).write(folder / "report.html")
     if page is not None:
         paste(text, page)
         (page.parent / "pictures").mkdir(exist_ok=True)
-        figures.save(drawn, page.parent / "pictures", "drills")
+        pictures.save(drawn, page.parent / "pictures", "drills")
     return says, folder / "report.html"
 
 
-def _tables(store: Store) -> Iterator[tuple[str, list[Contrast]]]:
-    """Yield the contrasts by the title of their table, the main ones first."""
-    for selection in SELECTIONS:
-        yield f"300 drills, T at {selection}", contrasts(store, main_arms(selection)[1:], reference=COUNTED + 300)
-    further = [arm for arm in further_arms() if not arm.startswith("direct")]
-    for selection in SELECTIONS:
-        of: list[str] = [arm for arm in further if WAYS[arm].selection == selection]
-        amounts = [arm for arm in of if WAYS[arm].start == "equal"]
-        yield f"other numbers of drills, T at {selection}", contrasts(store, amounts, reference=COUNTED + 1000)
-        starts = [arm for arm in of if arm not in amounts]
-        yield f"with V and with the prior, T at {selection}", contrasts(store, starts, reference=COUNTED + 1000)
+def _tables(store: Store) -> Tables:
+    """Return the contrasts by the title of their table, the main ones first."""
+    asked = {f"300 drills, T at {words}": main_arms(selection)[1:] for selection, words in SELECTIONS.items()}
+    for selection, words in SELECTIONS.items():
+        asked[f"other numbers of drills, T at {words}"] = amounts(selection)
+        asked[f"with V and with the prior, T at {words}"] = starts(selection)
+    return {title: contrasts(store, arms) for title, arms in asked.items()}
 
 
-def _scale(plan: Drills) -> str:
-    few = min(part.seeds for part in plan.parts)
+def _scale(plan: Study) -> str:
+    few = min(len(part.seeds) for part in plan.parts)
+    most = len(plan.parts[0].seeds)
     return (
-        f"{len(plan.buildings)} generated buildings; {plan.parts[0].seeds} seeds each for 300 drills with T at q = .9, "
+        f"{len(plan.buildings)} generated buildings; {most} seeds each for 300 drills with T at q = .9, "
         f"{few} for the rest. 95 % intervals: BCa bootstrap, seeds resampled within maps. A contrast *holds* if the "
         "whole interval of *times fewer* lies above 1 and T is solved at least as often: the difference is not below "
         f"0, its whole interval above −{100 * MARGIN:.0f} points."
     )
 
 
-def markdown(says: Sequence[str], tables: dict[str, list[Contrast]], plan: Drills) -> str:
+def markdown(says: Sequence[str], tables: Tables, plan: Study) -> str:
     """Return the results as Markdown: the headline, the figure's place, every table."""
     parts = [*says, _scale(plan), "![Robots lost by number of hostiles, and learning curves](pictures/drills.png)"]
     for title, found in tables.items():
         if found:
-            lines = [list(HEADERS), ["---"] * len(HEADERS), *rows(found)]
-            cells = ("| " + " | ".join("–" if x is None else str(x) for x in line) + " |" for line in lines)
-            parts.append(f"### {title[0].upper()}{title[1:]}\n\n" + "\n".join(cells))
+            table = markdown_table(HEADERS, rows(found), missing="–").rstrip()
+            parts.append(f"### {title[0].upper()}{title[1:]}\n\n{table}")
     return "\n\n".join(parts) + "\n"
 
 
@@ -493,7 +476,7 @@ def paste(text: str, page: Path, *, write: bool = True) -> None:
 
 
 def _report(
-    says: Sequence[str], tables: dict[str, list[Contrast]], plan: Drills, picture: Path, store: Store, command: str
+    says: Sequence[str], tables: Tables, plan: Study, picture: Path, store: Store, command: str
 ) -> Report:
     report = Report("Drills: practice against hostiles that repel")
     report.paragraph(
@@ -512,8 +495,6 @@ def _report(
                 rows(found),
                 caption="Times fewer: direct's losses over the arm's; below 1, the arm loses more.",
             )
-    report.section("The arms")
-    used = {arm for part in plan.parts for arm in part.arms}
-    report.table(["arm", "what it is"], [[name, way.meaning] for name, way in WAYS.items() if name in used])
+    add_arms(report, dict.fromkeys(arm for part in plan.parts for arm in part.arms))
     add_settings(report, store, command)
     return report

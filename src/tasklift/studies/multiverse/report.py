@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-import tasklift
-from tasklift.building.generate import generate
-from tasklift.files import write_atomically
+from tasklift.files import output_folder
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.report.page import Report
+from tasklift.report.pictures import save, styled
+from tasklift.studies.arms import ARMS as ALL_ARMS
+from tasklift.studies.claims import CLAIMS
 from tasklift.studies.multiverse.study import (
     ARMS,
+    INDIRECT,
     LINES,
     OFFSETS,
     OPTIONS,
@@ -26,49 +26,27 @@ from tasklift.studies.multiverse.study import (
     STORY,
     Effects,
     Judged,
-    Multiverse,
     draw,
     judge,
     main_effects,
+    study,
 )
-from tasklift.studies.paper.claims import CLAIMS, INDIRECT
-from tasklift.studies.paper.figures import save
-from tasklift.studies.report import prepare_folder
+from tasklift.studies.report import add_settings, write_csv
+from tasklift.studies.samples import Floats
+from tasklift.studies.study import Study, generated
+from tasklift.style import GROUND, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
-
-#: The claims in as many words as fit beside a bar.
-SHORT = {
-    "C1": "on some map, weights fall with CA",
-    "C2": "on some map, CA does not matter",
-    "C3": "converges faster",
-    "C4": "ends at a lower time",
-    "C5": "fewer trials out of time",
-    "C5b": "has not converged after 100 trials",
-    "C6": "loses fewer robots",
-    "C7": "keeps all robots more often",
-    "C7b": "keeps all robots in 11 of 100 trials",
-    "C8": "fewer teams for as many robots",
-    "C9a": "at no feature: move",
-    "C9b": "at the enemy feature: stop",
-    "C9c": "there with m weapons: move more",
-    "C10": "exploration beats exploitation",
-    "C11": "the policy is optimal",
-    "C12": "similar on all maps",
-}
-_BLOCKS = ("V", "direct", *INDIRECT)
-_TITLES = {"V": "the simple task V", "direct": "direct learning alone",
+_LABELS = {slug: ALL_ARMS[slug].label for slug in ("v", *ARMS)}
+_TITLES = {"v": "the simple task V", "direct": "direct learning alone",
            "copy": "copy against direct: the paper's indirect learning",
-           "copy+prior": "copy+prior against direct"}  # fmt: skip
-_HOLDS, _OPEN, _FAILS = "#0072b2", "#dfe3e8", "#d55e00"
-_INK, _MUTED = "#22262e", "#6b7280"
-_LOOK: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 8, "axes.linewidth": 0.7,
-                        "xtick.labelsize": 7.5, "xtick.color": _MUTED, "ytick.color": _MUTED}  # fmt: skip
-#: A cell is at its darkest where a level moves the balance of verdicts by so much (of −1 … 1).
+           "copy-prior": "copy+prior against direct"}  # fmt: skip
+_HOLDS, _OPEN, _FAILS = SERIES["blue"][0], GROUND["line"][0], SERIES["orange"][0]
+_INK, _MUTED = GROUND["ink"][0], GROUND["soft"][0]
+#: A cell is at its darkest where a level moves the balance of verdicts by this much (of −1 … 1).
 _DARKEST = 0.6
 
 
@@ -80,10 +58,9 @@ def multiverse(
     seeds: int = 5,
     trials: int = 100,
     design: int = 0,
-    engine: str = "threads",
-    workers: int | None = None,
-    address: str | None = None,
+    command: str = "",
     progress: Progress | None = None,
+    **engine: Any,
 ) -> Path:
     """Draw readings, train and judge under each, find what decides; return the path of ``report.html``.
 
@@ -95,27 +72,24 @@ def multiverse(
         How many; maps are generated from the seeds 0, 1, …, as in the main study.
     design
         Seed of the design: which readings are drawn.
-    engine, workers, address
-        As in :func:`tasklift.lab.run`.
-    progress
-        ``progress(done, total, note)``.
+    command
+        The line that runs this again, for the report.
+    progress, engine
+        As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
     """
-    study = Multiverse({f"map {i}": generate(seed=i) for i in range(maps)}, draw(readings, design), seeds, trials)
-    folder = prepare_folder(out)
-    with Store.open(folder / FILE_NAME, study.spec()) as store:
-        run(store, study.cells(), study.work, engine=engine, workers=workers, address=address, progress=progress)
-        judged = judge(store, progress=progress)
-    command = (
-        f"tasklift multiverse --readings {readings} --maps {maps} --seeds {seeds} --trials {trials} "
-        f"--design {design} --out {out}"
-    )
-    return write_report(study, judged, folder, command)
+    levels = draw(readings, design)
+    plan = study(generated(range(maps)), levels, seeds=seeds, trials=trials)
+    folder = output_folder(out, (FILE_NAME,))
+    with Store.open(folder / FILE_NAME, plan.spec("multiverse of readings")) as store:
+        run(store, plan.cells(), plan.work, progress=progress, **engine)
+        judged = judge(store, levels, progress=progress)
+        return write_report(plan, judged, folder, store, command)
 
 
-def write_report(study: Multiverse, judged: Judged, folder: Path, command: str) -> Path:
+def write_report(plan: Study, judged: Judged, folder: Path, store: Store, command: str) -> Path:
     """Write ``verdicts.csv``, ``effects.csv``, the figures and ``report.html``; return the path of the last."""
     effects = main_effects(judged.verdict, judged.levels)
-    write_verdicts(judged, study.names, folder / "verdicts.csv")
+    write_verdicts(judged, list(plan.conditions), folder / "verdicts.csv")
     write_effects({"balance of verdicts": effects,
                    "effect in standard errors": main_effects(judged.effect, judged.levels)},
                   folder / "effects.csv")  # fmt: skip
@@ -127,7 +101,9 @@ def write_report(study: Multiverse, judged: Judged, folder: Path, command: str) 
         "eleven": save(draw_eleven(judged), pictures, "eleven-of-100")[1],
     }
     path = folder / "report.html"
-    _page(study, judged, effects, drawn, command).write(path)
+    page = _page(plan, judged, effects, drawn)
+    add_settings(page, store, command)
+    page.write(path)
     return path
 
 
@@ -188,10 +164,10 @@ def write_verdicts(judged: Judged, names: Sequence[str], path: Path) -> None:
         verdicts = [words.get(v, "") for v in judged.verdict[i]]
         sizes = ["" if np.isnan(e) else round(float(e), 4) for e in judged.effect[i]]
         rows.append([name, *chosen, *verdicts, *sizes, round(float(judged.kept[i].mean()), 4)])
-    _write_csv(rows, path)
+    write_csv(rows, path)
 
 
-def write_effects(outcomes: dict[str, Effects], path: Path) -> None:
+def write_effects(outcomes: Mapping[str, Effects], path: Path) -> None:
     """Write a line per outcome, claim, arm, option and level: the main effect, its interval, the adjusted p."""
     rows: list[list[Any]] = [["outcome", "claim", "arm", "option", "level", "effect", "low", "high", "p (BH)"]]
     for outcome, effects in outcomes.items():
@@ -202,18 +178,13 @@ def write_effects(outcomes: dict[str, Effects], path: Path) -> None:
                     numbers = (effects.estimate[at], effects.low[at], effects.high[at], effects.p[at])
                     rows.append([outcome, claim, arm, option.name, option.label(k),
                                  *("" if np.isnan(x) else f"{x:.4g}" for x in numbers)])  # fmt: skip
-    _write_csv(rows, path)
-
-
-def _write_csv(rows: Iterable[Sequence[Any]], path: Path) -> None:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    write_atomically(path, text.getvalue())
+    write_csv(rows, path)
 
 
 # ---------------------------------------------------------------- pictures
 
 
+@styled
 def draw_multiverse(judged: Judged, effects: Effects) -> Figure:
     """Draw the shares of readings in which each claim holds, and beside them which option levels decide it.
 
@@ -221,27 +192,25 @@ def draw_multiverse(judged: Judged, effects: Effects) -> Figure:
     all readings, at 5 % after Benjamini & Hochberg; its number is the difference in points. Options are ordered
     by how much they decide, but for the selection rule, which comes first.
     """
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_LOOK):
-        figure = Figure(figsize=(13.5, 7.9))
-        grid = figure.add_gridspec(1, 2, width_ratios=(1.9, 8.1), wspace=0.015, left=0.205, right=0.972, top=0.79,
-                                   bottom=0.03)  # fmt: skip
-        bars, cells = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-        y = _rows()
-        _draw_shares(bars, judged, y)
-        _name_lines(bars, y)
-        _draw_cells(cells, effects, y)
-        for ax in (bars, cells):
-            ax.set_ylim(max(y) + 0.6, min(y) - 0.6)
-        n = len(judged.levels)
-        figure.text(0.012, 0.965, f"The paper's claims under {n} readings of it", fontsize=14, color=_INK,
-                    fontweight="bold", va="center")  # fmt: skip
-        figure.text(0.012, 0.938, "Bars: share of the readings (%).\nSquares: how an alternative moves the balance, "
-                    "holds less fails (points);\ncoloured where it decides, at 5 % after Benjamini & Hochberg.",
-                    fontsize=8, color=_MUTED, va="top", linespacing=1.35)  # fmt: skip
-        _legend(figure, 0.865)
+    figure = Figure(figsize=(13.5, 7.9))
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.9, 8.1), wspace=0.015, left=0.205, right=0.972, top=0.79,
+                               bottom=0.03)  # fmt: skip
+    bars, cells = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    y = _rows()
+    _draw_shares(bars, judged, y)
+    _name_lines(bars, y)
+    _draw_cells(cells, effects, y)
+    for ax in (bars, cells):
+        ax.set_ylim(max(y) + 0.6, min(y) - 0.6)
+    n = len(judged.levels)
+    figure.text(0.012, 0.965, f"The paper's claims under {n} readings of it", fontsize=14, color=_INK,
+                fontweight="bold", va="center")  # fmt: skip
+    figure.text(0.012, 0.938, "Bars: share of the readings (%).\nSquares: how an alternative moves the balance, "
+                "holds less fails (points);\ncoloured where it decides, at 5 % after Benjamini & Hochberg.",
+                fontsize=8, color=_MUTED, va="top", linespacing=1.35)  # fmt: skip
+    _legend(figure, 0.865)
     return figure
 
 
@@ -250,7 +219,7 @@ def _name_lines(ax: Axes, y: Sequence[float]) -> None:
     place = ax.get_yaxis_transform()
     for line, (claim, arm) in enumerate(LINES):
         ax.text(-1.27, y[line], claim, va="center", fontweight="bold", color=_INK, transform=place)
-        ax.text(-1.05, y[line], SHORT[claim], va="center", color=_INK, transform=place)
+        ax.text(-1.05, y[line], CLAIMS[claim].short, va="center", color=_INK, transform=place)
         if arm != LINES[line - 1][1]:
             ax.text(-1.27, y[line] - 0.95, _TITLES[arm], va="center", fontsize=8.5, color=_HOLDS, fontweight="bold",
                     transform=place)  # fmt: skip
@@ -344,61 +313,58 @@ def _legend(figure: Figure, top: float) -> None:
     )  # fmt: skip
 
 
+@styled
 def draw_rules(judged: Judged) -> Figure:
     """Draw the shares again for each selection rule on its own."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
     rules = by_rule(judged)
-    with mpl.rc_context(_LOOK):
-        figure = Figure(figsize=(11, 6.2))
-        axes = figure.subplots(1, len(rules), squeeze=False, gridspec_kw={
-            "left": 0.235, "right": 0.985, "top": 0.87, "bottom": 0.02, "wspace": 0.12})[0]  # fmt: skip
-        y = _rows()
-        for ax, (name, rows) in zip(axes, rules.items(), strict=True):
-            _draw_shares(ax, judged, y, rows)
-            ax.set_ylim(max(y) + 0.6, min(y) - 1.6)
-            ax.set_title(f"{name} ({rows.sum()} readings)", fontsize=9.5, color=_INK, pad=8)
-        _name_lines(axes[0], y)
-        _legend(figure, 1.0)
+    figure = Figure(figsize=(11, 6.2))
+    axes = figure.subplots(1, len(rules), squeeze=False, gridspec_kw={
+        "left": 0.235, "right": 0.985, "top": 0.87, "bottom": 0.02, "wspace": 0.12})[0]  # fmt: skip
+    y = _rows()
+    for ax, (name, rows) in zip(axes, rules.items(), strict=True):
+        _draw_shares(ax, judged, y, rows)
+        ax.set_ylim(max(y) + 0.6, min(y) - 1.6)
+        ax.set_title(f"{name} ({rows.sum()} readings)", fontsize=9.5, color=_INK, pad=8, loc="center")
+    _name_lines(axes[0], y)
+    _legend(figure, 1.0)
     return figure
 
 
+@styled
 def draw_eleven(judged: Judged) -> Figure:
     """Draw how many of 100 trials direct learning loses no robot in, and where the paper's 11 falls."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_LOOK):
-        figure = Figure(figsize=(7.2, 2.7), layout="constrained")
-        ax = figure.subplots()
-        rules = by_rule(judged)
-        kept = judged.kept.mean(axis=1)
-        ax.hist([kept[rows] for rows in rules.values()], bins=np.linspace(0, 100, 41).tolist(), stacked=True,
-                label=list(rules), color=["#0072b2", "#56b4e9", "#e69f00", "#d55e00"][: len(rules)])  # fmt: skip
-        ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
-        ax.axvline(11, color=_INK, linewidth=1.2)
-        ax.annotate("the paper: 11", (11, ax.get_ylim()[1]), (6, -9), textcoords="offset points", color=_INK)
-        ax.set_xlabel("trials of 100 in which direct learning keeps all robots (mean of a reading's runs)")
-        ax.set_ylabel("readings")
-        ax.set_xlim(0, 100)
-        for side in ("top", "right"):
-            ax.spines[side].set_visible(False)
-        ax.legend(frameon=False, loc="upper right")
+    figure = Figure(figsize=(7.2, 2.7), layout="constrained")
+    ax = figure.subplots()
+    rules = by_rule(judged)
+    kept = judged.kept.mean(axis=1)
+    colours = [SERIES[name][0] for name in ("blue", "sky", "gold", "orange")]
+    ax.hist([kept[rows] for rows in rules.values()], bins=np.linspace(0, 100, 41).tolist(), stacked=True,
+            label=list(rules), color=colours[: len(rules)])  # fmt: skip
+    ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
+    ax.axvline(11, color=_INK, linewidth=1.2)
+    ax.annotate("the paper: 11", (11, ax.get_ylim()[1]), (6, -9), textcoords="offset points", color=_INK)
+    ax.set_xlabel("trials of 100 in which direct learning keeps all robots (mean of a reading's runs)")
+    ax.set_ylabel("readings")
+    ax.set_xlim(0, 100)
+    ax.legend(loc="upper right")
     return figure
 
 
 # ---------------------------------------------------------------- the page
 
 
-def _page(study: Multiverse, judged: Judged, effects: Effects, drawn: dict[str, Path], command: str) -> Report:
-    n = len(judged.levels)
+def _page(plan: Study, judged: Judged, effects: Effects, drawn: Mapping[str, Path]) -> Report:
+    n, maps, seeds = len(judged.levels), len(plan.buildings), len(plan.parts[0].seeds)
     page = Report(f"The paper's claims under {n} readings of it")
     page.paragraph(
         "What the paper leaves open was written down as named options with alternatives. A reading takes one "
         f"alternative of each of the {len(OPTIONS)} options; {n} were drawn so that every alternative is met equally "
-        f"often (Latin hypercube), and under each the experiment was run on {len(study.buildings)} maps × "
-        f"{study.seeds} seeds: direct learning, copy, copy+prior; {study.trials} trials on T each."
+        f"often (Latin hypercube), and under each the experiment was run on {maps} maps × {seeds} seeds: direct "
+        f"learning, copy, copy+prior; {plan.trials} trials on T each."
     )
     page.verdict(*verdict_lines(judged, effects))
     page.figure(
@@ -408,7 +374,7 @@ def _page(study: Multiverse, judged: Judged, effects: Effects, drawn: dict[str, 
     )
     page.section("The claims, and what decides them")
     page.paragraph(
-        f"Verdicts come from 95 % intervals over {len(study.buildings) * study.seeds} paired runs, as in the main "
+        f"Verdicts come from 95 % intervals over {maps * seeds} paired runs, as in the main "
         "study; with so few runs small effects stay undecided, and where there is no effect at all, some 5 to 6 % of "
         "the readings say that it holds and as many that it does not (measured on normal samples of 4 × 5). An effect "
         "is the change of the balance (share that holds less share that fails, points) with an alternative against "
@@ -420,7 +386,7 @@ def _page(study: Multiverse, judged: Judged, effects: Effects, drawn: dict[str, 
     page.table(
         ["claim", "", "arm", "readings", "holds (%)", "undecided (%)", "fails (%)", "decided by (points)"],
         [
-            [claim, CLAIMS[claim].says, arm, int(count[i]), *share[i].round(1).tolist(), deciding(effects, i)]
+            [claim, CLAIMS[claim].says, _LABELS[arm], int(count[i]), *share[i].round(1).tolist(), deciding(effects, i)]
             for i, (claim, arm) in enumerate(LINES)
         ],
     )
@@ -436,13 +402,6 @@ def _page(study: Multiverse, judged: Judged, effects: Effects, drawn: dict[str, 
         ["option", "of", "alternatives"],
         [[o.name, o.of, ", ".join(o.label(k) for k in range(len(o.levels)))] for o in OPTIONS],
     )
-    page.section("How to run it again")
-    page.code(command)
-    page.paragraph(
-        f"tasklift {tasklift.__version__}, specification `{study.spec().id[:16]}`; every run's trials are in "
-        f"`{FILE_NAME}`, every reading's options and verdicts in `verdicts.csv`, every effect in `effects.csv`. The "
-        "same command in the same folder resumes."
-    )
     return page
 
 
@@ -454,10 +413,11 @@ def verdict_lines(judged: Judged, effects: Effects) -> list[str]:
         said = []
         for claim in STORY:
             holds, _, fails = share[LINES.index((claim, arm))]
-            said.append(f"{claim} ({SHORT[claim]}) holds in {holds:.0f} % and fails in {fails:.0f} %")
+            said.append(f"{claim} ({CLAIMS[claim].short}) holds in {holds:.0f} % and fails in {fails:.0f} %")
+        together = judged.together(arm).sum()
         lines.append(
-            f"**{arm} against direct**: {'; '.join(said)}. All five hold at once in **{judged.together(arm).sum()} of "
-            f"{n} readings**."
+            f"**{_LABELS[arm]} against direct**: {'; '.join(said)}. All five hold at once in **{together} of {n} "
+            "readings**."
         )
     total = spreads(effects).sum(axis=0)
     order = [OPTIONS[o].name for o in np.argsort(-total, kind="stable") if total[o] > 0][:5]
@@ -491,5 +451,5 @@ def rule_rows(judged: Judged) -> list[list[Any]]:
         for arm in ARMS:
             together = int(judged.together(arm)[among].sum()) if arm in INDIRECT else None
             means = [float(v) for v in judged.arms[arm][among].mean(axis=0)]
-            rows.append([name, arm, int(among.sum()), together, *means])
+            rows.append([name, _LABELS[arm], int(among.sum()), together, *means])
     return rows

@@ -8,10 +8,8 @@ trained and the claims judged exactly as in the main study (:mod:`tasklift.studi
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -21,15 +19,13 @@ from numpy.typing import NDArray
 from tasklift import stats
 from tasklift.building.graph import Building
 from tasklift.building.reading import Reading
-from tasklift.building.team import SCOUT, WEAPON, Kind
-from tasklift.errors import TaskliftError
-from tasklift.lab import Cell, CellResult, Spec, Store, grid
+from tasklift.checks import whole_number
+from tasklift.lab import Progress, Store
 from tasklift.learning.reinforcement import Reinforcement
-from tasklift.studies.paper.claims import INDIRECT, Finding, Sample, evaluate
-from tasklift.studies.paper.survey import CA, NO_TREND
-from tasklift.studies.study import GREEDY_TRIALS, Study
+from tasklift.studies.claims import CLAIMS, evaluate
+from tasklift.studies.samples import Coverage, Floats, Sample
+from tasklift.studies.study import Condition, Part, Record, Study
 
-Floats = NDArray[np.float64]
 Level = bool | int | float | str
 
 
@@ -59,7 +55,7 @@ class Option:
         return value if isinstance(value, str) else f"{value:g}"
 
 
-#: All named alternatives. Additions of ours (drill, loss signal) are no readings of the paper and stay off.
+#: All named alternatives. Additions of ours (drill, loss signal) do not belong to the paper and stay off.
 OPTIONS: tuple[Option, ...] = (
     Option("selection", "reinforcement", ("exploration", "q = 0.5", "q = 0.9", "exploitation")),
     Option("sweep_credit", "reinforcement", ("all", "visited")),
@@ -88,12 +84,13 @@ _RULES: dict[Level, dict[str, Any]] = {
     "exploitation": {"selection": "exploitation"},
 }
 
-#: What is trained under every reading; the main study has more controls (`prior`, `direct+budget`).
+#: What is trained under every reading; the main study has more controls (`prior`, `direct-budget`).
+INDIRECT = ("copy", "copy-prior")
 ARMS = ("direct", *INDIRECT)
 #: Besides, where the rule is exploration: what C10 compares it with.
-EXPLOITING = tuple(f"{arm}, exploitation" for arm in INDIRECT)
+EXPLOITING = tuple(f"{arm}-exploitation" for arm in INDIRECT)
 #: Per trial, the store keeps what the claims read; the rest of a cell can be computed again.
-KEPT = ("steps", "success", "losses", "teams_left")
+RECORD = Record(columns=("steps", "success", "losses", "teams_left"), stages=("target",))
 
 
 def draw(n: int, seed: int = 0) -> NDArray[np.int64]:
@@ -105,155 +102,56 @@ def draw(n: int, seed: int = 0) -> NDArray[np.int64]:
     """
     from scipy.stats import qmc
 
-    if n < 2:
-        raise TaskliftError(f"readings: expected at least 2, found {n}")
+    whole_number(n, "readings", 2)
     points = qmc.LatinHypercube(len(OPTIONS), optimization="random-cd", seed=seed).random(n)
     ranks = points.argsort(axis=0).argsort(axis=0)
     return np.asarray(ranks * np.array([len(option.levels) for option in OPTIONS]) // n, dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One reading in full: of the world, of the learner, and the number of hostiles."""
-
-    reading: Reading
-    reinforcement: Reinforcement
-    hostiles: int
-
-    @classmethod
-    def of(cls, levels: Sequence[int]) -> Variant:
-        """Build it from a level of every option, in the order of :data:`OPTIONS`."""
-        chosen: dict[str, dict[str, Any]] = {"reading": {}, "mission": {}, "reinforcement": {}}
-        for option, level in zip(OPTIONS, levels, strict=True):
-            value = option.levels[level]
-            chosen[option.of] |= _RULES[value] if option.name == "selection" else {option.name: value}
-        return cls(Reading(**chosen["reading"]), Reinforcement(**chosen["reinforcement"]), **chosen["mission"])
+def condition(levels: Sequence[int]) -> Condition:
+    """Return one reading in full: a level of every option, in the order of :data:`OPTIONS`."""
+    chosen: dict[str, dict[str, Any]] = {"reading": {}, "mission": {}, "reinforcement": {}}
+    for option, level in zip(OPTIONS, levels, strict=True):
+        value = option.levels[level]
+        chosen[option.of] |= _RULES[value] if option.name == "selection" else {option.name: value}
+    return Condition(Reading(**chosen["reading"]), Reinforcement(**chosen["reinforcement"]), **chosen["mission"])
 
 
-@dataclass(frozen=True, eq=False)
-class Multiverse:
-    """The study: readings × maps × seeds × arms.
+def study(buildings: Mapping[str, Building], levels: NDArray[np.int64], *, seeds: int = 5, **options: Any) -> Study:
+    """Return the study: readings × maps × seeds × arms. Readings are named ``r0000`` on, in the order of the design.
 
-    Attributes
+    Parameters
     ----------
     buildings
         By name.
     levels
         ``int64 (readings, options)``, as :func:`draw` gives them.
-    seeds, trials, repeats, team, weapons_needed, limit
+    seeds
+        How many.
+    options
         As in :class:`tasklift.studies.study.Study`.
     """
-
-    buildings: Mapping[str, Building]
-    levels: NDArray[np.int64]
-    seeds: int = 5
-    trials: int = 100
-    repeats: int = 5
-    team: Mapping[Kind, int] = field(default_factory=lambda: {SCOUT: 10, WEAPON: 5})
-    weapons_needed: int = 2
-    limit: int = 600
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave compiled missions behind when it travels to another process."""
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """The readings' names, ``r0000`` on, in the order of the design."""
-        return tuple(f"r{i:04d}" for i in range(len(self.levels)))
-
-    @cached_property
-    def _studies(self) -> dict[str, Study]:
-        return {}
-
-    def study(self, reading: str) -> Study:
-        """Return one reading as a study of its own."""
-        if reading not in self._studies:
-            levels = self.levels[self.names.index(reading)]
-            variant = Variant.of([int(level) for level in levels])
-            exploring = OPTIONS[SELECTION].levels[levels[SELECTION]] == "exploration"
-            study = Study(
-                self.buildings,
-                {reading: variant.reading},
-                ARMS + EXPLOITING if exploring else ARMS,
-                seeds=self.seeds,
-                trials=self.trials,
-                repeats=self.repeats,
-                team=self.team,
-                hostiles=variant.hostiles,
-                weapons_needed=self.weapons_needed,
-                limit=self.limit,
-                reinforcement=variant.reinforcement,
-            )
-            self._studies.setdefault(reading, study)  # threads that come at once share the first one's
-        return self._studies[reading]
-
-    def cells(self) -> list[Cell]:
-        """Return the units of work."""
-        return [
-            cell
-            for name in self.names
-            for cell in grid(reading=[name], map=self.buildings, seed=range(self.seeds), arm=self.study(name).arms)
-        ]
-
-    def spec(self) -> Spec:
-        """Return the design, the options and all else that decides the rows, as data."""
-        return Spec.of(
-            "multiverse of readings",
-            {
-                "maps": {name: building.content_id for name, building in self.buildings.items()},
-                "options": [[option.name, option.of, list(option.levels)] for option in OPTIONS],
-                "design": self.levels.tolist(),
-                "otherwise": {
-                    "reading": dataclasses.asdict(Reading()),
-                    "reinforcement": dataclasses.asdict(Reinforcement()),
-                },
-                "arms": [*ARMS, *EXPLOITING],
-                "seeds": self.seeds,
-                "trials": self.trials,
-                "repeats": self.repeats,
-                "team": [[kind.name, kind.speed_mm, kind.armed, n] for kind, n in self.team.items()],
-                "weapons_needed": self.weapons_needed,
-                "limit": self.limit,
-                "greedy_trials": GREEDY_TRIALS,
-            },
-            {
-                "reading": self.names,
-                "map": list(self.buildings),
-                "seed": range(self.seeds),
-                "arm": [*ARMS, *EXPLOITING],
-            },
-            over=("map", "seed"),
+    conditions = {f"r{i:04d}": condition([int(level) for level in row]) for i, row in enumerate(levels)}
+    exploring = [of.reinforcement.selection == "exploration" for of in conditions.values()]
+    parts = tuple(
+        Part(
+            (*ARMS, *EXPLOITING) if explores else ARMS,
+            tuple(name for name, one in zip(conditions, exploring, strict=True) if one is explores),
+            tuple(buildings),
+            tuple(range(seeds)),
         )
-
-    def work(self, cell: Cell) -> CellResult:
-        """Train one arm as the main study does, and keep of it what the claims need."""
-        full = self.study(cell["reading"]).work(cell)
-        summary = dict(full.summary)
-        if cell["arm"] == "copy":
-            summary |= _coverage(full.attachments["ca_weights"], full.stages["source"]["steps"])
-        return CellResult(
-            stages={"target": {name: full.stages["target"][name] for name in KEPT}},
-            summary=summary,
-            attachments={"move_weights": full.attachments["move_weights"].astype(np.float32)},
-        )
-
-
-def _coverage(weights: Floats, steps: NDArray[np.int64]) -> dict[str, float]:
-    """Slope of V's weight on CA; and of the time of its moving trials, as a share of their mean."""
-    centred = (CA - CA.mean()) / ((CA - CA.mean()) ** 2).sum()
-    moving = steps.reshape(-1, 2, 2, len(CA))[:, 1].mean(axis=(0, 1))
-    return {"ca_slope": float(weights @ centred), "ca_time": float(moving @ centred / moving.mean())}
+        for explores in (True, False)
+    )
+    return Study(buildings, conditions, parts, record=RECORD, **options)
 
 
 # ---------------------------------------------------------------- judging the claims under every reading
 
-_OF_TRANSFER = ("C3", "C4", "C5", "C6", "C7", "C8", "C9a", "C9b", "C9c", "C10", "C11", "C12")
 #: What is judged: claim and arm. V's and direct learning's own, then the indirect arms, against direct.
 LINES: tuple[tuple[str, str], ...] = (
-    ("C1", "V"), ("C2", "V"), ("C5b", "direct"), ("C7b", "direct"),
-    *((claim, arm) for arm in INDIRECT for claim in _OF_TRANSFER),
-)  # fmt: skip
+    *((name, claim.of) for name, claim in CLAIMS.items() if claim.of in ("v", "direct")),
+    *((name, arm) for arm in INDIRECT for name, claim in CLAIMS.items() if claim.of in ("contrast", "arm")),
+)
 #: The claims that the paper's story needs together.
 STORY = ("C3", "C4", "C6", "C7", "C8")
 _CODES = {"holds": 1.0, "does not hold": -1.0, "undecided": 0.0}
@@ -293,110 +191,39 @@ class Judged:
         return np.all([self.column(claim, arm) == 1 for claim in STORY], axis=0)
 
 
-def judge(store: Store, *, resamples: int = 1000, progress: Any = None) -> Judged:
-    """Judge all claims under all readings, from the store alone.
+def judge(
+    store: Store, levels: NDArray[np.int64], *, resamples: int = 1000, progress: Progress | None = None
+) -> Judged:
+    """Judge all claims under all readings, from their rows.
 
     Parameters
     ----------
+    store
+        Of the study.
+    levels
+        The design.
     resamples
         Bootstrap resamples per interval.
     progress
-        ``progress(done, total, note)``.
+        As in :func:`tasklift.lab.run`.
     """
-    settings = store.spec.settings
-    levels = np.array(settings["design"], np.int64)
     verdict = np.full((len(levels), len(LINES)), np.nan)
     effect = np.full_like(verdict, np.nan)
     kept, arms = [], []
-    for i in range(len(levels)):
+    for i, row in enumerate(levels):
         name = f"r{i:04d}"
-        samples, coverage = _samples(store, name, settings)
-        for finding in [*_coverage_findings(*coverage, name), *evaluate(samples, name, resamples=resamples)]:
-            line = (finding.claim, finding.contrast.split(" − ")[0])
-            if line in LINES:
-                verdict[i, LINES.index(line)] = _CODES[finding.verdict]
-                effect[i, LINES.index(line)] = _standardised(finding)
-        direct = samples["direct"]
-        kept.append(100 * (direct.robots_left == direct.n_robots).mean(axis=1))
+        explores = OPTIONS[SELECTION].levels[row[SELECTION]] == "exploration"
+        samples = {slug: Sample.of(store, slug, reading=name) for slug in (*ARMS, *(EXPLOITING if explores else ()))}
+        coverage = Coverage.of(store, "copy", reading=name)
+        for finding in evaluate(samples, name, coverage=coverage, resamples=resamples):
+            if (line := (finding.claim, finding.arm)) in LINES:
+                verdict[i, LINES.index(line)] = _CODES.get(finding.verdict, 0.0)
+                effect[i, LINES.index(line)] = finding.standardised
+        kept.append(samples["direct"].kept_all)
         arms.append({arm: _means(samples[arm]) for arm in ARMS})
         if progress is not None:
             progress(i + 1, len(levels), "judging the claims")
     return Judged(levels, verdict, effect, np.array(kept), {arm: np.array([m[arm] for m in arms]) for arm in ARMS})
-
-
-def _samples(
-    store: Store, reading: str, settings: Mapping[str, Any]
-) -> tuple[dict[str, Sample], tuple[Floats, Floats, NDArray[np.str_]]]:
-    """Return the arms of one reading, and V's two slopes on CA with the map of each."""
-    robots = sum(n for *_, n in settings["team"])
-    found: dict[str, list[tuple[str, CellResult]]] = {}
-    for cell, result in store.select(reading=reading, attachments=True):
-        found.setdefault(cell["arm"], []).append((cell["map"], result))
-    samples = {}
-    for arm, rows in found.items():
-        column = {name: np.array([r.stages["target"][name] for _, r in rows], np.float64) for name in KEPT}
-        samples[arm] = Sample(
-            maps=np.array([name for name, _ in rows]),
-            robots_left=robots - column["losses"],
-            limit=settings["limit"],
-            n_robots=robots,
-            greedy_steps=np.array([r.summary["greedy_steps"] for _, r in rows]),
-            greedy_losses=np.array([r.summary["greedy_losses"] for _, r in rows]),
-            move_weights=np.stack([r.attachments["move_weights"] for _, r in rows]),
-            **column,
-        )
-    slopes, times = (np.array([r.summary[key] for _, r in found["copy"]]) for key in ("ca_slope", "ca_time"))
-    return samples, (slopes, times, samples["copy"].maps)
-
-
-def _coverage_findings(slopes: Floats, times: Floats, maps: NDArray[np.str_], reading: str) -> list[Finding]:
-    """Judge C1 and C2: is there a map of which it is true?
-
-    Each map's mean gets a t interval with the variance pooled over maps, at 5 % over all maps together. C1: the
-    slope of V's weight lies below 0 on some map. C2: on some map the trial time changes from CA = 0 to CA = 1 by
-    less than 5 % of itself. They do not hold where the opposite is shown for every map.
-    """
-    findings = []
-    for claim, values, bounds in (("C1", slopes, (-np.inf, 0.0)), ("C2", times, (-NO_TREND, NO_TREND))):
-        intervals = _map_intervals(values, maps, 0.95 if claim == "C1" else 0.90)
-        inside = [bounds[0] < interval.low and interval.high < bounds[1] for interval in intervals]
-        outside = [interval.high <= bounds[0] or interval.low >= bounds[1] for interval in intervals]
-        verdict = "holds" if any(inside) else "does not hold" if all(outside) else "undecided"
-        best = min(intervals, key=lambda interval: interval.estimate if claim == "C1" else abs(interval.estimate))
-        better = "below 0" if claim == "C1" else f"within ±{NO_TREND}"
-        findings.append(Finding(claim, reading, "V", best, better, verdict))
-    return findings
-
-
-def _map_intervals(values: Floats, maps: NDArray[np.str_], confidence: float) -> list[stats.Interval]:
-    """Return a t interval of each map's mean, Bonferroni over the maps, the variance pooled within them."""
-    from scipy.stats import t
-
-    names = np.unique(maps)
-    groups = [values[maps == name] for name in names]
-    freedom = len(values) - len(names)
-    spread = float(np.sqrt(sum(((g - g.mean()) ** 2).sum() for g in groups) / freedom)) if freedom else np.inf
-    reach = float(t.ppf(1 - (1 - confidence) / (2 * len(names)), freedom)) if freedom else 1.0
-    return [
-        stats.Interval(
-            float(g.mean()),
-            float(g.mean() - reach * spread / np.sqrt(g.size)),
-            float(g.mean() + reach * spread / np.sqrt(g.size)),
-            confidence, "t", g.size, 0,
-        )
-        for g in groups
-    ]  # fmt: skip
-
-
-def _standardised(finding: Finding) -> float:
-    """Return the effect in standard errors, positive on the claim's side; nan where that has no meaning."""
-    interval = finding.interval
-    word, _, bound = finding.better.partition(" ")
-    if word not in ("above", "below") or finding.claim in ("C1", "C11"):  # C1 asks for some map; C11 has two bounds
-        return float("nan")
-    error = (interval.high - interval.low) / 3.92
-    gain = (interval.estimate - float(bound)) * (1 if word == "above" else -1)
-    return float(np.clip(gain / error, -20, 20)) if 0 < error < np.inf else 20 * float(np.sign(gain))
 
 
 def _means(sample: Sample) -> list[float]:

@@ -1,115 +1,36 @@
 """The paper's Figures 1 to 5, drawn from what the code computed; for papers (PNG and SVG) and for the report.
 
-Every function returns a new ``matplotlib.figure.Figure`` and leaves pyplot alone; :func:`save` writes it.
+Every function returns a new ``matplotlib.figure.Figure``; :func:`tasklift.report.pictures.save` writes it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import wraps
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasklift import style
 from tasklift.building import draw
 from tasklift.building.graph import Building
 from tasklift.building.ways import goal_shares, sectors
 from tasklift.errors import TaskliftError
-from tasklift.files import write_atomically
-from tasklift.lab import Store
+from tasklift.report.pictures import PAGE, page, styled
 from tasklift.stats import mean_band
-from tasklift.studies.arms import arm_named
-from tasklift.studies.paper.survey import CA, Survey
+from tasklift.studies.arms import ARMS, Arm
+from tasklift.studies.paper.survey import Survey
+from tasklift.studies.report import WEAPONS
+from tasklift.studies.samples import CA, Sample
+from tasklift.style import GROUND, SCENE, SERIES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-P = ParamSpec("P")
-
-#: Okabe & Ito's colours, told apart by most colour-blind readers; the dashes tell them apart in grey as well.
-STYLES: dict[str, dict[str, Any]] = {
-    "direct": {"color": "#d55e00", "linestyle": "-"},
-    "direct+budget": {"color": "#e69f00", "linestyle": (0, (5, 1.5))},
-    "copy": {"color": "#0072b2", "linestyle": "-"},
-    "prior": {"color": "#cc79a7", "linestyle": (0, (1, 1))},
-    "copy+prior": {"color": "#009e73", "linestyle": "-"},
-    "expert": {"color": "#22262e", "linestyle": (0, (4, 1, 1, 1))},
-    "random": {"color": "#8a919c", "linestyle": (0, (1, 2))},
-}
-_OTHER_STYLE: dict[str, Any] = {"color": "#56b4e9", "linestyle": (0, (3, 1))}
 _SECTORS = ("#a9d8f3", "#f6dd9b", "#a5dcc8", "#efc9de", "#f6bfa5", "#d5d9df")
-_INK, _MUTED, _BLUE = "#22262e", "#6b7280", "#0072b2"
-_GOAL = "#b91c1c"
-
-#: The width of a page of two text columns (inches).
-PAGE = 7.2
-
-_LOOK: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same picture everywhere
-    "font.size": 8,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8,
-    "axes.edgecolor": _MUTED,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlelocation": "left",
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "xtick.color": _MUTED,
-    "ytick.color": _MUTED,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "grid.color": "#e3e6ea",
-    "grid.linewidth": 0.6,
-    "legend.fontsize": 7.5,
-    "legend.frameon": False,
-    "lines.linewidth": 1.3,
-}
-
-
-#: The classes of nWPN (Table I).
-WEAPONS = ("no weapon robot", "1 to m − 1 weapon robots", "m or more weapon robots")
-
-
-def styled(function: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Draw with our look, whatever the reader's own settings."""
-
-    @wraps(function)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        import matplotlib as mpl
-
-        with mpl.rc_context(_LOOK):
-            return function(*args, **kwargs)
-
-    return drawn
-
-
-def save(figure: Figure, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write ``name.png`` (200 dots per inch) and ``name.svg`` into the folder; return both paths.
-
-    The same figure gives the same bytes: no dates, no random ids.
-    """
-    import io
-
-    import matplotlib as mpl
-
-    kinds: dict[str, dict[str, Any]] = {
-        "png": {"dpi": 200, "metadata": {"Software": None}},
-        "svg": {"metadata": {"Date": None, "Creator": None}},
-    }
-    with mpl.rc_context({**_LOOK, "svg.hashsalt": name, "svg.fonttype": "path"}):
-        for kind, options in kinds.items():
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, **options)
-            write_atomically(folder / f"{name}.{kind}", buffer.getvalue())
-    return folder / f"{name}.png", folder / f"{name}.svg"
-
+_INK, _MUTED, _BLUE = GROUND["ink"][0], GROUND["soft"][0], SERIES["blue"][0]
+_GOAL = SCENE["danger"][0]
 
 @styled
 def figure1(building: Building) -> Figure:
@@ -237,21 +158,19 @@ def _label_ways(building: Building, ax: Axes, node: int, shares: NDArray[np.floa
 
 
 @styled
-def figure3(survey: Survey, a: int, b: int) -> Figure:
+def figure3(survey: Survey) -> Figure:
     """Draw two surveyed maps and what V taught about CA there: mean weights of the odd seeds, 95 % bands.
 
     Parameters
     ----------
     survey
-        What was learned.
-    a, b
-        Places in ``survey.maps``; see :meth:`tasklift.studies.paper.survey.Survey.choose`.
+        What was learned; it chooses the maps (:meth:`tasklift.studies.paper.survey.Survey.choose`).
     """
     figure = page(PAGE, 5.6)
     axes = figure.subplots(2, 2, height_ratios=[1.3, 1])
     axes[1, 1].sharey(axes[1, 0])
-    for place, letters, (above, below) in ((a, "ac", axes[:, 0]), (b, "bd", axes[:, 1])):
-        of = survey.maps[place]
+    for name, letters, (above, below) in zip(survey.shown(), ("ac", "bd"), axes.T, strict=True):
+        of = survey.maps[name]
         draw.draw_graph(of.building, above)
         _shrink_signs(above)
         handles, labels = _taken_legend(above)
@@ -260,7 +179,7 @@ def figure3(survey: Survey, a: int, b: int) -> Figure:
         band = mean_band(of.weights[rows])
         below.fill_between(CA, band.low, band.high, color=_BLUE, alpha=0.22, linewidth=0)
         below.plot(CA, band.estimate, "o-", color=_BLUE, markersize=3.5)
-        slope = survey.slope_interval(place)
+        slope = survey.slope_interval(name)
         line = band.estimate.mean() + slope.estimate * (CA - CA.mean())
         below.plot(CA, line, color=_INK, linewidth=0.9, linestyle="--")
         title = f"({letters[1]}) slope {slope.estimate:+.3f} [{slope.low:+.3f}, {slope.high:+.3f}]"
@@ -268,7 +187,7 @@ def figure3(survey: Survey, a: int, b: int) -> Figure:
         below.text(
             0.03,
             0.05,
-            f"{rows.sum()} seeds; no trend: within ±{survey.margin(place):.3f}",
+            f"{rows.sum()} seeds; no trend: within ±{survey.margin(name):.3f}",
             transform=below.transAxes,
             fontsize=7,
             color=_MUTED,
@@ -286,65 +205,62 @@ _PANELS = (("steps", "steps"), ("robots_left", "robots left"), ("teams_left", "t
 
 @styled
 def figure4(
-    store: Store,
-    reading: str,
-    arms: Sequence[str],
+    samples: Mapping[str, Sample],
     run: tuple[str, int] | None = None,
     single: Sequence[str] = ("direct", "copy"),
+    arms: Mapping[str, Arm] = ARMS,
 ) -> Figure:
     """Draw time, robots left and teams left per trial on T: means over all maps and seeds, and one single run.
 
     Parameters
     ----------
-    store
-        A study's rows.
-    reading
-        Its name there.
-    arms
-        The lines above: means with 95 % bootstrap bands, seeds resampled within maps; of an arm that does not
-        learn the mean over its trials.
+    samples
+        By slug of the arm; those that are drawn are the lines above: means with 95 % bootstrap bands, seeds resampled
+        within maps; of an arm that does not learn the mean over its trials.
     run
-        Map and seed of the run below; the first of the store by default, so that nobody picks it.
+        Map and seed of the run below; the first one by default, so that nobody picks it.
     single
         The arms of that run.
+    arms
+        The arms themselves, by slug.
+
+    Raises
+    ------
+    TaskliftError
+        If there is no such run.
     """
     from matplotlib.ticker import MaxNLocator
 
     figure = page(PAGE, 4.9)
     axes = figure.subplots(2, 3, sharex=True, sharey="col")
-    top: dict[str, float] = {"steps": store.spec.settings["limit"]}
-    top["robots_left"] = top["teams_left"] = sum(n for *_, n in store.spec.settings["team"])
-    shown = [arm for arm in single if arm in arms]
+    drawn = {slug: sample for slug, sample in samples.items() if arms[slug].drawn}
+    first = next(iter(drawn.values()))
+    at = 0
+    if run is not None:
+        there = np.flatnonzero((first.maps == run[0]) & (first.seeds == run[1]))
+        if not len(there):
+            raise TaskliftError(f"figure4: no run of map {run[0]!r} and seed {run[1]}")
+        at = int(there[0])
     for column, (name, label) in enumerate(_PANELS):
         above, below = axes[:, column]
-        for arm in arms:
-            curves = store.curves("target", name, reading=reading, arm=arm)
-            trials = np.arange(1, curves.values.shape[1] + 1)
-            style = STYLES.get(arm, _OTHER_STYLE)
-            values = curves.values
-            if not arm_named(arm).learns:
-                values = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
-            band = mean_band(values, strata=curves.column("map"))
-            above.fill_between(trials, band.low, band.high, color=style["color"], alpha=0.13, linewidth=0)
-            above.plot(trials, band.estimate, **{**style, "linewidth": 1.1}, label=arm)
-            if arm not in shown:
-                continue
-            if run is None:
-                run = curves.cells[0]["map"], int(curves.cells[0]["seed"])
-            rows = [i for i, cell in enumerate(curves.cells) if (cell["map"], int(cell["seed"])) == run]
-            if not rows:
-                raise TaskliftError(f"figure4: no run of map {run[0]!r} and seed {run[1]} in {store.path}")
-            below.plot(trials, curves.values[rows[0]], **{**style, "linewidth": 0.9})
+        for slug, sample in drawn.items():
+            values = getattr(sample, name)
+            trials = np.arange(1, values.shape[1] + 1)
+            line = style.look(slug).line
+            shown = values if arms[slug].learns else np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
+            band = mean_band(shown, strata=sample.maps)
+            above.fill_between(trials, band.low, band.high, color=line["color"], alpha=0.13, linewidth=0)
+            above.plot(trials, band.estimate, **line, linewidth=1.1, label=arms[slug].label)
+            if slug in single:
+                below.plot(trials, values[at], **line, linewidth=0.9)
         above.set_title(f"({'abc'[column]}) {label}")
         below.set_xlabel("trial on T")
-        above.set_ylim(0, top[name] * 1.04)
+        above.set_ylim(0, (first.limit if name == "steps" else first.n_robots) * 1.04)
         above.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
         for ax in (above, below):
             ax.grid(axis="y")
-    cells = len(curves.cells)
-    axes[0, 0].set_ylabel(f"mean of {cells} runs")
-    if run is not None:
-        axes[1, 0].set_ylabel(f"one run: {run[0]}, seed {run[1]}")
+    axes[0, 0].set_ylabel(f"mean of {len(first.maps)} runs")
+    axes[1, 0].set_ylabel(f"one run: {first.maps[at]}, seed {first.seeds[at]}")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
@@ -366,7 +282,8 @@ def figure5(move_weights: ArrayLike) -> Figure:
     axes: Any = figure.subplots(1, 3, subplot_kw={"projection": "3d"})
     ticks = np.arange(1, 6)
     for n, ax in enumerate(axes):
-        for move, colour in ((1, _BLUE), (0, "#e69f00")):
+        for move, name in ((1, "move"), (0, "stop")):
+            colour = style.LOOKS[name].line["color"]
             heights = values[n, :, move]
             ax.bar3d(ticks - 0.32, move - 0.22, 0, 0.64, 0.44, heights, color=colour, edgecolor="white", linewidth=0.3)
         ax.view_init(elev=32, azim=-64)
@@ -380,10 +297,3 @@ def figure5(move_weights: ArrayLike) -> Figure:
         "height: mean weight; feature: 1 none, 2 bend, 3 corner, 4 door (the enemy feature), 5 other", fontsize=7.5
     )
     return figure
-
-
-def page(width: float, height: float) -> Figure:
-    """Return an empty figure of that size (inches), with our spacing and no global state."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")

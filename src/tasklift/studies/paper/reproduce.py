@@ -2,30 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tasklift.building.generate import generate
 from tasklift.building.graph import INTERSECTION, Building
 from tasklift.building.reading import PRESETS
 from tasklift.building.search import hostile_candidates
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
+from tasklift.files import output_folder
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import export
+from tasklift.report import pictures
 from tasklift.report.page import Report
 from tasklift.studies import report
-from tasklift.studies.arms import ARMS
+from tasklift.studies.arms import ARMS, PAPER, arms_named
+from tasklift.studies.claims import CLAIMS, Finding, evaluate, indirect
 from tasklift.studies.paper import figures
-from tasklift.studies.paper.claims import CLAIMS, Finding, Sample, all_samples, evaluate
-from tasklift.studies.paper.survey import Survey, survey
-from tasklift.studies.study import Study
+from tasklift.studies.paper import survey as surveys_of
+from tasklift.studies.paper.survey import Survey
+from tasklift.studies.samples import Sample
+from tasklift.studies.study import Part, Study, generated
 
 #: The seed of the first map on which nothing is learned; a study's own maps begin at 0.
 FIRST_UNSEEN = 5000
 #: A larger study leaves its rows in the store (`tasklift runs export` writes them): a text file would take gigabytes.
-MOST_CELLS_EXPORTED = 2000
+MOST_CELLS_EXPORTED = 4000
+
+USUAL = tuple(arm.slug for arm in PAPER)
+
+Samples = Mapping[str, Mapping[str, Sample]]
+
+
+def study(*, maps: int, seeds: int, trials: int, arms: Sequence[str], survey: int) -> Study:
+    """Return the paper's experiment: arms × presets × maps × seeds, and V alone on the survey's maps.
+
+    Parameters
+    ----------
+    maps, seeds, trials, arms, survey
+        As in :func:`reproduce`.
+    """
+    for name, value in (("maps", maps), ("seeds", seeds)):
+        whole_number(value, name, 1)
+    judged = [arm for arm in arms_named(arms) if arm.against]
+    if not judged:
+        raise TaskliftError("arms: the claims are about indirect learning, and no such arm is named; add copy")
+    for arm in judged:
+        if arm.against[0] not in arms:
+            raise TaskliftError(f"arms: {arm.slug!r} is judged against {arm.against[0]!r}; name that as well")
+    own, surveyed = generated(range(maps)), surveys_of.surveyed(survey)
+    return Study(
+        own | surveyed,
+        surveys_of.conditions(),
+        (
+            Part(tuple(arms), tuple(PRESETS), tuple(own), tuple(range(seeds))),
+            *surveys_of.parts(list(surveyed)),
+        ),
+        trials=trials,
+        unseen=generated(range(FIRST_UNSEEN, FIRST_UNSEEN + maps)),
+    )
 
 
 def reproduce(
@@ -34,12 +72,11 @@ def reproduce(
     maps: int = 6,
     seeds: int = 5,
     trials: int = 100,
-    arms: tuple[str, ...] = tuple(ARMS),
+    arms: Sequence[str] = USUAL,
     survey: int = 60,
-    engine: str = "threads",
-    workers: int | None = None,
-    address: str | None = None,
+    command: str = "",
     progress: Progress | None = None,
+    **engine: Any,
 ) -> Path:
     """Run the whole experiment; return the path of ``report.html``.
 
@@ -50,102 +87,68 @@ def reproduce(
     maps, seeds, trials
         Generated buildings, seeds on each, trials on the full task. Policies are also tried on as many other maps.
     arms
-        Names of :data:`tasklift.studies.arms.ARMS`; ``direct``, ``copy`` and ``copy+prior`` are needed.
+        Slugs; at least one indirect arm such as ``copy``, and the arm that each is judged against.
     survey
         Generated buildings for Figure 3 (claims C1, C2).
-    engine, workers, address
-        As in :func:`tasklift.lab.run`.
-    progress
-        ``progress(done, total, note)``.
+    command
+        The line that runs this again, for the report.
+    progress, engine
+        As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
 
     Raises
     ------
     TaskliftError
-        Before anything is overwritten.
+        Before anything is trained or overwritten.
     """
-    study = Study(
-        {f"map {i}": generate(seed=i) for i in range(maps)},
-        PRESETS,
-        arms,
-        seeds=seeds,
-        trials=trials,
-        unseen={f"unseen {i}": generate(seed=FIRST_UNSEEN + i) for i in range(maps)},
-    )
-    for name in ("direct", *report.GLANCED):
-        if name not in arms:
-            raise TaskliftError(f"arms: the claims need {name!r}; found {'; '.join(arms)}")
-    folder = report.prepare_folder(out)
-    with Store.open(folder / FILE_NAME, study.spec("the paper's experiment")) as store:
-        run(
-            store,
-            study.cells(),
-            study.work,
-            engine=engine,
-            workers=workers,
-            address=address,
-            progress=progress,
-        )
+    plan = study(maps=maps, seeds=seeds, trials=trials, arms=arms, survey=survey)
+    first = plan.parts[0]
+    folder = output_folder(out, (FILE_NAME,))
+    with Store.open(folder / FILE_NAME, plan.spec("the paper's experiment")) as store:
+        run(store, plan.cells(), plan.work, progress=progress, **engine)
+        more = surveys_of.further(plan, surveys_of.read(store, plan))
+        run(store, [*plan.cells(), *more], plan.work, progress=progress, **engine)
+        surveys = surveys_of.read(store, plan)
         say = progress or (lambda done, total, note: None)
-        surveys = {name: _survey(survey, name, study, workers, progress) for name in PRESETS}
         say(0, 4, "judging the claims")
-        samples = {name: all_samples(store, name) for name in PRESETS}
-        findings = [f for name in PRESETS for f in [*surveyed(surveys[name], name), *evaluate(samples[name], name)]]
+        samples = {
+            name: {slug: Sample.of(store, slug, reading=name).last(trials) for slug in arms} for name in PRESETS
+        }
+        findings = [
+            finding
+            for name in PRESETS
+            for finding in evaluate(samples[name], name, coverage=surveys[name].coverage)
+        ]
         say(1, 4, "writing rows and policies")
-        if len(study.cells()) <= MOST_CELLS_EXPORTED:
+        if len(plan.cells()) <= MOST_CELLS_EXPORTED:
             export(folder, folder / "rows.csv")
         report.write_claims(findings, folder / "claims.csv")
         for name in PRESETS:
-            report.save_policies(study, folder / "policies", name, "map 0")
+            report.save_policies(plan, folder / "policies", name, first.maps[0])
         say(2, 4, "drawing the figures")
-        drawn = _draw(folder / "figures", study, store, samples, surveys["scattered"])
+        drawn = _draw(folder / "figures", plan.buildings[first.maps[0]], samples, surveys["scattered"])
         say(3, 4, "writing the report")
-        command = f"tasklift reproduce --maps {maps} --seeds {seeds} --trials {trials} --survey {survey} --out {out}"
-        command += "" if arms == tuple(ARMS) else f" --arms '{';'.join(arms)}'"
         path = folder / "report.html"
         report.write_summary(folder / "summary.md", samples, findings, command)
-        _report(study, store, samples, surveys, findings, drawn, command).write(path)
+        _report(plan, store, samples, surveys, findings, drawn, command).write(path)
         say(4, 4, "done")
     return path
 
 
-def _survey(maps: int, reading: str, study: Study, workers: int | None, progress: Progress | None) -> Survey:
-    return survey(
-        maps=maps,
-        repeats=study.repeats,
-        reading=PRESETS[reading],
-        team=study.team,
-        progress=None if progress is None else lambda done, total: progress(done, total, f"survey of V, {reading}"),
-        workers=workers,
-    )
-
-
-def surveyed(maps: Survey, reading: str) -> list[Finding]:
-    """Judge C1 and C2 on the two maps that the survey chose on half of its seeds, with the other half."""
-    steep, level = maps.choose()
-    names = [maps.maps[place].building.name for place in (steep, level)]
-    return [
-        Finding("C1", reading, names[0], maps.slope_interval(steep), "below 0", maps.trend(steep)),
-        Finding("C2", reading, names[1], maps.slope_interval(level, confidence=0.9),
-                f"within ±{maps.margin(level):.2g}", maps.no_trend(level), note="90 % interval"),
-    ]  # fmt: skip
-
-
-def _draw(
-    folder: Path, study: Study, store: Store, samples: dict[str, dict[str, Sample]], maps: Survey
-) -> dict[str, Path]:
+def _draw(folder: Path, building: Building, samples: Samples, survey: Survey) -> dict[str, Path]:
     folder.mkdir(exist_ok=True)
-    first = next(iter(study.buildings.values()))
-    node, goal = crossing(first)
+    node, goal = crossing(building)
     drawn = {
-        "figure1": figures.figure1(first),
-        "figure2": figures.figure2(first, node, goal),
-        "figure3": figures.figure3(maps, *maps.choose()),
+        "figure1": figures.figure1(building),
+        "figure2": figures.figure2(building, node, goal),
+        "figure3": figures.figure3(survey),
     }
-    for reading, arms in samples.items():
-        drawn[f"figure4-{reading}"] = figures.figure4(store, reading, report.DRAWN)
-        for arm in ("copy", "copy+prior"):
-            drawn[f"figure5-{reading}-{arm}"] = figures.figure5(arms[arm].move_weights.mean(axis=0))
-    return {name: figures.save(figure, folder, name)[0] for name, figure in drawn.items()}
+    for condition, of in samples.items():
+        drawn[f"figure4-{condition}"] = figures.figure4(of)
+        for arm in indirect(of):
+            weights = of[arm].move_weights
+            assert weights is not None
+            drawn[f"figure5-{condition}-{arm}"] = figures.figure5(weights.mean(axis=0))
+    return {name: pictures.save(figure, folder, name)[0] for name, figure in drawn.items()}
 
 
 def crossing(building: Building) -> tuple[int, int]:
@@ -157,60 +160,58 @@ def crossing(building: Building) -> tuple[int, int]:
     return node, int(doors[int(distance.argmax())])
 
 
-def verdict_lines(samples: dict[str, dict[str, Sample]], findings: Sequence[Finding]) -> list[str]:
+def verdict_lines(samples: Samples, findings: Sequence[Finding]) -> list[str]:
     """Say in words and numbers what came out, per preset and indirect arm."""
     lines = []
-    for reading, arms in samples.items():
-        direct = arms["direct"]
-        for arm in report.GLANCED:
-            about = [f for f in findings if f.reading == reading and f.contrast in (arm, f"{arm} − direct")]
-            about += [f for f in findings if f.reading == reading and f.claim in ("C10", "C11") and f not in about
-                      and f.contrast.split(" − ")[0] == arm]  # fmt: skip
-            lost = next(f for f in about if f.claim == "C6")
-            time = next(f for f in about if f.claim == "C4")
+    for condition, arms in samples.items():
+        for arm in indirect(arms):
+            about = report.about(findings, condition, arm)
+            reference = arms[ARMS[arm].against[0]]
+            lost, time = (next(f for f in about if f.claim == claim) for claim in ("C6", "C4"))
+            verdicts = dict.fromkeys(("holds", "does not hold", "undecided", *(f.verdict for f in about)))
             tally = "; ".join(
                 f"{verdict}: {', '.join(f.claim for f in about if f.verdict == verdict) or 'none'}"
-                for verdict in ("holds", "does not hold", "undecided")
+                for verdict in verdicts
             )
             lines.append(
-                f"**{reading}, {arm} against direct.** Robots lost a trial: {arms[arm].losses.mean():.1f} against "
-                f"{direct.losses.mean():.1f} of {direct.n_robots} (difference {lost.interval}). Steps of the last 20 "
-                f"trials: {arms[arm].steps[:, -20:].mean():.0f} against {direct.steps[:, -20:].mean():.0f} "
-                f"(difference {time.interval}). Claims of the paper: {tally}."
+                f"**{condition}, {ARMS[arm].label} against {ARMS[ARMS[arm].against[0]].label}.** Robots lost a trial: "
+                f"{arms[arm].losses.mean():.1f} against {reference.losses.mean():.1f} of {reference.n_robots} "
+                f"(difference {lost.interval}). Steps of the last 20 trials: {arms[arm].steps[:, -20:].mean():.0f} "
+                f"against {reference.steps[:, -20:].mean():.0f} (difference {time.interval}). Claims of the paper: "
+                f"{tally}."
             )
     return lines
 
 
 def _report(
-    study: Study,
+    plan: Study,
     store: Store,
-    samples: dict[str, dict[str, Sample]],
-    surveys: dict[str, Survey],
+    samples: Samples,
+    surveys: Mapping[str, Survey],
     findings: Sequence[Finding],
-    drawn: dict[str, Path],
+    drawn: Mapping[str, Path],
     command: str,
 ) -> Report:
+    first = plan.parts[0]
     page = Report("Transfer of learning for complex task domains: a reproduction")
     page.paragraph(
         "Singh & Adams (ICRA 2006) let 10 scouts and 5 weapon robots learn to search an unknown building first "
         "without hostile agents (task V), copied what was learned to the full task T, and went on learning there. "
-        f"Here: {len(study.buildings)} generated buildings × {study.seeds} seeds × {len(study.arms)} arms × "
-        f"{len(study.readings)} readings of what the paper leaves open, {study.trials} trials on T each."
+        f"Here: {len(first.maps)} generated buildings × {len(first.seeds)} seeds × {len(first.arms)} arms × "
+        f"{len(first.conditions)} readings of what the paper leaves open, {plan.trials} trials on T each."
     )
     page.verdict(*verdict_lines(samples, findings))
-    page.section("The arms")
-    page.table(["arm", "what it is"], [[name, ARMS[name].meaning] for name in study.arms])
-    for reading, arms in samples.items():
-        page.table(*report.arm_table(arms), caption=f"Preset **{reading}**, means over all cells")
+    report.add_arms(page, first.arms)
+    for condition, arms in samples.items():
+        page.table(*report.arm_table(arms), caption=f"Preset **{condition}**, means over all cells")
     page.section("The claims")
     page.paragraph(
-        "Intervals are 95 % (BCa bootstrap over seeds within maps; C2: 90 %, two one-sided tests). A verdict follows "
-        "from its interval alone; p-values are of sign-flip tests, adjusted for the whole table after Holm."
+        "Intervals are 95 % (BCa bootstrap over seeds within maps; C1 and C2: t intervals over all maps together, C2 "
+        "at 90 % as in two one-sided tests). A verdict follows from its interval alone; p-values are of sign-flip "
+        "tests, adjusted for the whole table after Holm."
     )
-    columns = [f"{reading}, {arm}" for reading in samples for arm in report.GLANCED]
     page.table(
-        ["claim", "the paper", "where", *columns],
-        report.glance_rows(findings, list(samples)),
+        *report.glance(findings, list(samples), first.arms),
         caption="The claims at a glance: each indirect arm against plain direct learning",
     )
     page.table(["claim", "how it is measured here"], [[name, claim.measure] for name, claim in CLAIMS.items()])
@@ -219,6 +220,16 @@ def _report(
         report.finding_rows(findings),
         caption="The measures behind the verdicts, also against the controls `direct+budget` and `prior`",
     )
+    _pictures(page, samples, surveys, drawn)
+    page.section("The ledger: what was spent and lost, by stage")
+    for condition, arms in samples.items():
+        page.table(report.LEDGER_HEADERS, report.ledger_rows(arms),
+                   caption=f"Preset **{condition}**, per map and seed")  # fmt: skip
+    report.add_settings(page, store, command)
+    return page
+
+
+def _pictures(page: Report, samples: Samples, surveys: Mapping[str, Survey], drawn: Mapping[str, Path]) -> None:
     page.section("Figure 1: a building as a plan and as its graph")
     page.figure(drawn["figure1"], "Dark: intersections, white: rooms, grey: features; the start is at the bottom.")
     page.section("Figure 2: covered area and goal at an intersection")
@@ -229,25 +240,17 @@ def _report(
         f"Two of {len(surveys['scattered'].maps)} surveyed maps, chosen by their slope on the even seeds; the weights "
         "shown are those of the odd seeds.",
     )
-    for reading, maps in surveys.items():
-        page.paragraph(f"**{reading}.** {maps.in_words()}")
-        page.table(["property of a map", "rank correlation with the slope", "p (Holm)"], maps.explain())
+    for condition, survey in surveys.items():
+        page.paragraph(f"**{condition}.** {survey.in_words()}")
+        page.table(["property of a map", "rank correlation with the slope", "p (Holm)"], survey.explain())
     page.section("Figure 4: direct and indirect learning")
-    for reading, arms in samples.items():
-        report.add_curves(page, arms, reading)
-        page.figure(drawn[f"figure4-{reading}"], f"Preset {reading}; below, one single run like the paper's.")
+    for condition, arms in samples.items():
+        report.add_curves(page, arms, condition)
+        page.figure(drawn[f"figure4-{condition}"], f"Preset {condition}; below, one single run like the paper's.")
     page.section("Figure 5: stop or move, by the feature faced")
-    for reading, arms in samples.items():
-        page.paragraph(f"Preset **{reading}**; feature 1 is none, 4 is the enemy feature.")
-        for arm in ("copy", "copy+prior"):
-            report.add_move_weights(page, arms[arm], arm)
-        page.figure(drawn[f"figure5-{reading}-copy"], f"Arm copy, {reading}, as in the paper.")
-    page.section("The ledger: what was spent and lost, by stage")
-    for reading in samples:
-        page.table(
-            report.LEDGER_HEADERS,
-            report.ledger_rows(store, reading),
-            caption=f"Preset **{reading}**, per map and seed",
-        )
-    report.add_settings(page, store, command)
-    return page
+    for condition, arms in samples.items():
+        page.paragraph(f"Preset **{condition}**; feature 1 is none, 4 is the enemy feature.")
+        for arm in indirect(arms):
+            report.add_move_weights(page, arms[arm], ARMS[arm].label)
+        first = indirect(arms)[0]
+        page.figure(drawn[f"figure5-{condition}-{first}"], f"Arm {ARMS[first].label}, {condition}, as in the paper.")

@@ -1,45 +1,40 @@
 """V's coverage coefficient over many maps: where low CA is faster, where it makes no difference, and why.
 
 The paper shows one map on which the weights fall as CA rises (Figure 3a, 3c; claim C1) and one without a
-trend (Figure 3b, 3d; claim C2). Here V is learned on many generated maps. The two maps that are shown are
-chosen by their slopes on the even seeds; what is shown and tested of them comes from their odd seeds only.
+trend (Figure 3b, 3d; claim C2). Here V is learned on many generated maps: cells of the arm ``v``. The two maps that
+are shown are chosen by their slopes on the even seeds; what is shown of them comes from their odd seeds only.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.building.generate import generate
 from tasklift.building.graph import INTERSECTION, ROOM, Building
-from tasklift.building.mission import Mission
-from tasklift.building.reading import SCATTERED, Reading
+from tasklift.building.reading import PRESETS, SCATTERED
 from tasklift.building.search import SEARCH_TIME_REWARD
 from tasklift.building.simulator import edge_cost_mm, search_steps
-from tasklift.building.team import SCOUT, WEAPON, Kind
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
-from tasklift.learning.reinforcement import Reinforcement
-from tasklift.stats import Interval, Verdict, bootstrap, equivalence, holm, verdict
-from tasklift.studies.arms import learn_source
-from tasklift.studies.study import ca_weights
+from tasklift.lab import Cell, Store
+from tasklift.stats import Interval, bootstrap, holm
+from tasklift.studies.arms import SOURCE
+from tasklift.studies.claims import NO_TREND, map_intervals
+from tasklift.studies.samples import SLOPE, Coverage
+from tasklift.studies.study import Condition, Part, Study, generated
 
 #: The survey's maps are generated from this seed on. The properties below were devised on the maps 1000 to
 #: 1059 and a study's own maps begin at 0: what the survey says of either it says on maps not seen before.
 FIRST_MAP_SEED = 2000
-#: The values of the output CA.
-CA = np.linspace(0.0, 1.0, 11)
-#: C2: a change of the trial time by less than this share of it, from CA = 0 to CA = 1, is no trend.
-NO_TREND = 0.05
+#: Seeds on every map; and how many odd ones the two maps that are shown have in the end.
+SEEDS, SHOWN = 12, 40
 
 Half = Literal["even", "odd", "all"]
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +61,7 @@ class Surveyed:
     @cached_property
     def slopes(self) -> NDArray[np.float64]:
         """``float64 (n,)``: least-squares slope of weight on CA, per seed (weight per unit of CA)."""
-        centred = CA - CA.mean()
-        return self.weights @ centred / (centred @ centred)
+        return np.asarray(self.weights @ SLOPE)
 
     def rows(self, half: Half) -> NDArray[np.bool_]:
         """``bool (n,)``: the seeds of a half."""
@@ -88,62 +82,94 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """V learned on many maps; see :func:`survey`.
+    """V learned on many maps.
 
     Attributes
     ----------
     maps
-        What was learned on each.
-    reading, repeats, limit
-        As in :func:`survey`; ``limit`` is the mission's (steps).
+        What was learned on each, by name.
+    repeats
+        Traversals per output.
+    limit
+        The mission's (steps).
     """
 
-    maps: tuple[Surveyed, ...]
-    reading: Reading
+    maps: Mapping[str, Surveyed]
     repeats: int
     limit: int
 
+    @classmethod
+    def of(cls, store: Store, study: Study, condition: str, names: Sequence[str]) -> Survey:
+        """Read the survey of some maps under one condition.
+
+        Parameters
+        ----------
+        store
+            Of the study.
+        study
+            Has the maps, and the cells of the arm ``v`` on them.
+        condition
+            One of the study's.
+        names
+            Of the maps.
+        """
+        found = Coverage.of(store, SOURCE.slug, **{study.axis: condition})
+        maps = {}
+        for name in names:
+            here = found.maps == name
+            maps[name] = Surveyed(
+                study.buildings[name], found.seeds[here], found.weights[here], found.steps[here]
+            )
+        return cls(maps, study.repeats, study.limit)
+
+    @cached_property
+    def coverage(self) -> Coverage:
+        """All rows together, as C1 and C2 are judged on them."""
+        return Coverage(
+            maps=np.repeat(list(self.maps), [len(of.seeds) for of in self.maps.values()]),
+            seeds=np.concatenate([of.seeds for of in self.maps.values()]),
+            weights=np.concatenate([of.weights for of in self.maps.values()]),
+            steps=np.concatenate([of.steps for of in self.maps.values()]),
+        )
+
     def mean_slopes(self, half: Half = "all") -> NDArray[np.float64]:
         """``float64 (maps,)``: each map's mean slope over the seeds of a half (weight per unit of CA)."""
-        return np.array([of.slopes[of.rows(half)].mean() for of in self.maps])
+        return np.array([of.slopes[of.rows(half)].mean() for of in self.maps.values()])
 
     def choose(self) -> Choice:
         """Return the map with the steepest fall and the one nearest to no slope, by the even seeds."""
         slopes = self.mean_slopes("even")
         return Choice(int(slopes.argmin()), int(abs(slopes).argmin()))
 
-    def slope_interval(self, place: int, half: Half = "odd", confidence: float = 0.95) -> Interval:
+    def shown(self) -> tuple[str, str]:
+        """Return the names of the two maps that :meth:`choose` picks."""
+        names = list(self.maps)
+        steep, level = self.choose()
+        return names[steep], names[level]
+
+    def slope_interval(self, name: str, half: Half = "odd", confidence: float = 0.95) -> Interval:
         """Return the bootstrap interval of a map's mean slope over seeds (weight per unit of CA)."""
-        of = self.maps[place]
+        of = self.maps[name]
         return bootstrap(np.mean, of.slopes[of.rows(half)], confidence=confidence)
 
-    def margin(self, place: int, half: Half = "odd") -> float:
+    def margin(self, name: str, half: Half = "odd") -> float:
         """Return C2's margin on a map: the slope (weight per unit of CA) that still counts as no trend.
 
         A trial of V adds 0.2 · (1 − steps / limit) to the weight of its output, ``repeats`` times. A trial
         time that changes by 5 % of its mean per unit of CA therefore changes the weight by
         ``repeats · 0.2 · 0.05 · mean steps / limit``.
         """
-        of = self.maps[place]
+        of = self.maps[name]
         mean_steps = float(of.steps[of.rows(half)].mean())
         return self.repeats * SEARCH_TIME_REWARD * NO_TREND * mean_steps / self.limit
 
-    def trend(self, place: int, half: Half = "odd") -> Verdict:
-        """Return C1 on a map: do the weights fall as CA rises? By the 95 % interval of the slope."""
-        return verdict(self.slope_interval(place, half), "less")
-
-    def no_trend(self, place: int, half: Half = "odd") -> Verdict:
-        """Return C2 on a map: is the slope zero but for :meth:`margin`? Two one-sided tests at 5 %."""
-        return equivalence(self.slope_interval(place, half, confidence=0.90), self.margin(place, half))
-
     def in_words(self) -> str:
         """Say what came out over all maps, which maps are shown, and what in a map makes the difference."""
-        everywhere = range(len(self.maps))
-        trends = [self.trend(place, "all") for place in everywhere]
-        level = sum(self.no_trend(place, "all") == "holds" for place in everywhere)
+        falls = map_intervals(self.coverage, self.coverage.slopes, 0.95)
+        level = map_intervals(self.coverage, self.coverage.changes, 0.90)
         shown = [
-            f"map ({letter}) is {self.maps[place].building.name!r}, slope {self.slope_interval(place)}"
-            for letter, place in zip("ab", self.choose(), strict=True)
+            f"map ({letter}) is {self.maps[name].building.name!r}, slope {self.slope_interval(name)}"
+            for letter, name in zip("ab", self.shown(), strict=True)
         ]
         found = [
             f"“{row.name}” (rank correlation {row.rho:+.2f}, p {row.p_holm:.2g})"
@@ -158,9 +184,11 @@ class Survey:
         )
         return (
             f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on "
-            f"{trends.count('holds')} of them, rise on {trends.count('does not hold')}, and show no trend on "
-            f"{level} (all seeds; 95 % intervals, and 90 % within 5 % of the trial time). Chosen by "
-            f"the even seeds and measured on the odd ones, {'; '.join(shown)}. {why}"
+            f"{sum(interval.high < 0 for interval in falls.values())} of them, rise on "
+            f"{sum(interval.low > 0 for interval in falls.values())}, and the trial time changes by less than 5 % on "
+            f"{sum(i.low > -NO_TREND and i.high < NO_TREND for i in level.values())} (all seeds; simultaneous "
+            f"intervals, 95 % and 90 %). Chosen by the even seeds and measured on the odd ones, {'; '.join(shown)}. "
+            f"{why}"
         )
 
     def explain(self) -> list[tuple[str, float | None, float | None]]:
@@ -173,87 +201,64 @@ class Survey:
         ]
 
 
-def survey(
-    maps: int | Sequence[Building] = 60,
-    seeds: int = 12,
-    repeats: int = 5,
-    reading: Reading = SCATTERED,
-    *,
-    team: Mapping[Kind, int] | None = None,
-    shown: int = 40,
-    progress: Progress | None = None,
-    workers: int | None = None,
-) -> Survey:
-    """Learn V on many maps with many seeds.
+def parts(names: Sequence[str], seeds: int = SEEDS, shown: int = SHOWN) -> tuple[Part, Part]:
+    """Return the survey as parts of a study: V on every map, and the further seeds, on maps that are chosen later.
+
+    Parameters
+    ----------
+    names
+        Maps of the study.
+    seeds
+        On every map 0 to ``seeds`` − 1, at least 2.
+    shown
+        The two maps that :meth:`Survey.choose` picks get further odd seeds, up to this many: their intervals are to
+        be narrow. Odd seeds choose nothing.
+    """
+    whole_number(seeds, "survey, seeds", 2)
+    further = tuple(range(seeds + 1 - seeds % 2, 2 * shown, 2))
+    every = Part((SOURCE.slug,), tuple(PRESETS), tuple(names), tuple(range(seeds)))
+    return every, replace(every, maps=(), seeds=further)
+
+
+def study(maps: int, *, seeds: int = SEEDS, shown: int = SHOWN, **options: Any) -> Study:
+    """Return a study that is a survey and nothing else.
 
     Parameters
     ----------
     maps
-        How many to generate, from :data:`FIRST_MAP_SEED` on; or the maps.
-    seeds
-        On every map: 0 to ``seeds`` − 1, at least 2.
-    repeats
-        Traversals per output.
-    reading
-        The world's rules.
-    team
-        The paper's 10 scouts and 5 weapon robots by default.
-    shown
-        The two maps that :meth:`Survey.choose` picks get further odd seeds, so many in all: an equivalence
-        test wants a narrow interval.
-    progress
-        Called with (maps done, maps in all), from the calling thread.
-    workers
-        Threads; one per core by default. They change nothing but the time it takes.
+        How many are generated.
+    seeds, shown
+        As in :func:`parts`.
+    options
+        As in :class:`.Study`.
     """
-    if not isinstance(seeds, int) or isinstance(seeds, bool) or seeds < 2:
-        raise TaskliftError(f"survey, seeds: expected a whole number of at least 2, found {seeds!r}")
-    if isinstance(maps, int):
-        maps = [generate(seed=FIRST_MAP_SEED + i) for i in range(maps)]
-    if not maps:
-        raise TaskliftError("survey, maps: expected at least one")
-    members = {SCOUT: 10, WEAPON: 5} if team is None else team
-    missions = [Mission(building, members, hostiles=0, reading=reading) for building in maps]
-    surveyed: dict[int, Surveyed] = {}
-    workers = workers or os.cpu_count() or 1
-    pool = ThreadPoolExecutor(workers)
-    try:
-        jobs = {pool.submit(_learn, m, range(seeds), repeats): i for i, m in enumerate(missions)}
-        for job in as_completed(jobs):
-            surveyed[jobs[job]] = job.result()
-            if progress is not None:
-                progress(len(surveyed), len(jobs))
-        found = Survey(tuple(surveyed[i] for i in range(len(missions))), reading, repeats, missions[0].limit)
-        further = range(seeds + 1 - seeds % 2, 2 * shown, 2)
-        parts = [further[i::workers] for i in range(workers) if further[i::workers]]
-        for place in set(found.choose()):
-            more = pool.map(lambda part, mission=missions[place]: _learn(mission, part, repeats), parts)
-            surveyed[place] = _joined([surveyed[place], *more])
-    finally:
-        pool.shutdown(cancel_futures=True)
-    return replace(found, maps=tuple(surveyed[i] for i in range(len(missions))))
+    own = surveyed(maps)
+    return Study(own, conditions(), parts(list(own), seeds, shown), **options)
 
 
-def _learn(mission: Mission, seeds: Sequence[int], repeats: int) -> Surveyed:
-    weights, steps = [], []
-    for seed in seeds:
-        curve = learn_source(mission, repeats=repeats, seed=seed, reinforcement=Reinforcement())
-        weights.append(ca_weights(curve.policy))
-        # the outputs in order, again and again: repeat, MV, WPN, CA
-        steps.append(curve.outcomes.steps.reshape(repeats, 2, 2, 11)[:, 1].mean(axis=(0, 1)))
-    return Surveyed(mission.building, np.array(seeds, np.int64), np.array(weights), np.array(steps))
+def surveyed(maps: int) -> dict[str, Building]:
+    """Return the survey's maps by name."""
+    return generated(range(FIRST_MAP_SEED, FIRST_MAP_SEED + whole_number(maps, "survey", 1)))
 
 
-def _joined(parts: Sequence[Surveyed]) -> Surveyed:
-    """One map's parts together, by ascending seed."""
-    seeds = np.concatenate([part.seeds for part in parts])
-    order = seeds.argsort()
-    return Surveyed(
-        parts[0].building,
-        seeds[order],
-        np.concatenate([part.weights for part in parts])[order],
-        np.concatenate([part.steps for part in parts])[order],
-    )
+def conditions() -> dict[str, Condition]:
+    """Return the presets as conditions."""
+    return {name: Condition(reading) for name, reading in PRESETS.items()}
+
+
+def read(store: Store, study: Study) -> dict[str, Survey]:
+    """Return the surveys of a study by condition, from its store."""
+    return {name: Survey.of(store, study, name, study.parts[-2].maps) for name in study.parts[-2].conditions}
+
+
+def further(study: Study, surveys: Mapping[str, Survey]) -> list[Cell]:
+    """Return the cells of the further seeds, now that each survey has chosen its maps."""
+    return [
+        study.cell(condition, name, seed, SOURCE.slug)
+        for condition, survey in surveys.items()
+        for name in dict.fromkeys(survey.shown())
+        for seed in study.parts[-1].seeds
+    ]
 
 
 # --- which property of a map makes the difference -----------------------------------------------------------
@@ -404,7 +409,7 @@ def correlate(survey: Survey, *, permutations: int = 9999, seed: int = 0) -> lis
     """Return how each property of maps goes with their mean slope over all seeds, the strongest first."""
     from scipy.stats import rankdata
 
-    properties = [map_properties(of.building) for of in survey.maps]
+    properties = [map_properties(of.building) for of in survey.maps.values()]
     columns = np.array([[row[name] for row in properties] for name in PROPERTIES])
     ranks = np.apply_along_axis(rankdata, 1, columns)
     ranks = ranks - ranks.mean(axis=1, keepdims=True)

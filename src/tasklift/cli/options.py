@@ -1,0 +1,121 @@
+"""What the commands share: kinds of options, the progress bar, and the line that runs a command again."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from tasklift.lab import Progress
+
+positive = click.IntRange(min=1)
+count = click.IntRange(min=0)
+path = click.Path(path_type=Path)
+
+#: Options that change where and how fast a command runs, and none of its results.
+_NO_RESULT = ("engine", "workers", "address", "page", "open_browser")
+
+
+class Names(click.ParamType):
+    """A list of names, separated by commas."""
+
+    name = "names"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Return the names."""
+        if not isinstance(value, str):
+            return tuple(value)
+        found = tuple(part.strip() for part in value.split(","))
+        if not all(found):
+            self.fail(f"expected names separated by commas, found {value!r}", param, ctx)
+        return found
+
+
+class Numbers(click.ParamType):
+    """A list of whole numbers from 1, separated by commas; ``1-5`` stands for 1,2,3,4,5."""
+
+    name = "numbers"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """Return the numbers, each once, in the order in which they are named."""
+        if not isinstance(value, str):
+            return tuple(value)
+        found: dict[int, None] = {}
+        for part in value.split(","):
+            spelled = re.fullmatch(r"\s*([0-9]{1,6})\s*(?:-\s*([0-9]{1,6})\s*)?", part)
+            first, last = (int(spelled[1]), int(spelled[2] or spelled[1])) if spelled else (0, 0)
+            if not 1 <= first <= last or last - first > 10_000:
+                self.fail(f"expected numbers from 1 such as 1,3, or a range such as 1-5, found {value!r}", param, ctx)
+            found.update(dict.fromkeys(range(first, last + 1)))
+        return tuple(found)
+
+
+def folder(default: str | None = None, help: str = "Folder for the report; the same command resumes there.") -> Any:
+    """Return the option of a command's folder."""
+    return click.option("--out", type=path, default=default, show_default=default is not None, help=help)
+
+
+def running(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of every command that trains: where, and on how many cores."""
+    for option in (
+        click.option("--workers", type=positive, help="Threads, or the size of a local Ray.  [default: one per core]"),
+        click.option("--address", help="For Ray: a running cluster, such as auto or HOST:PORT."),
+        click.option("--engine", type=click.Choice(["threads", "ray"]), default="threads", show_default=True),
+    ):
+        command = option(command)
+    return command
+
+
+def command_line() -> str:
+    """Return the line that runs the current command again: its arguments, and every option that has a value."""
+    context = click.get_current_context()
+    words = ["tasklift", context.info_name or ""]
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if parameter.name in _NO_RESULT or value is None or value is False:
+            continue
+        if isinstance(parameter, click.Option):
+            words.append(parameter.opts[0])
+        if value is not True:
+            words.append(",".join(map(str, value)) if isinstance(value, tuple) else str(value))
+    return shlex.join(words)
+
+
+def given(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that have a value."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+class progress:
+    """A bar per piece of work; called as ``progress(done, total, note)``."""
+
+    def __enter__(self) -> Progress:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        self.bar = Progress(
+            TextColumn("{task.fields[what]:<44.44}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+        )
+        self.current: tuple[Any, int] | None = None
+        return self.show
+
+    def show(self, done: int, total: int, note: str) -> None:
+        """Show ``done`` of ``total``; another total begins another bar."""
+        if self.current is None:
+            self.bar.start()  # not before there is something to show: a refusal is one line
+        if self.current is None or self.current[1] != total:
+            self.current = (self.bar.add_task("", total=total, what=note), total)
+        self.bar.update(self.current[0], completed=done, what=note)
+
+    def __exit__(self, *_: object) -> None:
+        if self.current is not None:
+            self.bar.stop()

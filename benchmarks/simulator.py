@@ -18,8 +18,8 @@ from tasklift.building.mission import Mission
 from tasklift.building.reading import PRESETS
 from tasklift.building.search import search_only
 from tasklift.building.team import SCOUT, WEAPON
-from tasklift.learning.reinforcement import Reinforcement, reinforce
-from tasklift.studies.arms import PRIOR, learn_source
+from tasklift.learning.reinforcement import Reinforcement, reinforce, sweep
+from tasklift.studies.arms import PRIOR
 from tasklift.tasks.policy import Policy
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -40,7 +40,7 @@ def best(action):
 
 def cell(mission):
     """V's 220 traversals, then direct, copy and copy+prior for 100 trials each."""
-    v = learn_source(mission, repeats=5, seed=0, reinforcement=Reinforcement()).policy
+    v = sweep(mission.without_hostiles(), search_only(mission.task), repeats=5, seed=0)
     starts = (Policy.equal(mission.task), v.extend(mission.task), v.extend(mission.task, prior=PRIOR))
     return [reinforce(mission, start, trials=100) for start in starts]
 
@@ -67,7 +67,7 @@ def robot_steps(mission, task, outputs, trials, weights=None):
 def rate(mission):
     """Return robot-steps per second over V's moving trials and three arms, as they mix in a cell."""
     v_task = search_only(mission.task)
-    v = learn_source(mission, repeats=5, seed=0, reinforcement=Reinforcement()).policy
+    v = sweep(mission.without_hostiles(), search_only(mission.task), repeats=5, seed=0)
     moving = [a for a in range(v_task.shape[1]) if v_task.output_values(a)["MV"] == 1]
     parts = [robot_steps(mission.without_hostiles(), v_task, np.array(moving * 5), 0)]
     for start in (Policy.equal(mission.task), v.extend(mission.task), v.extend(mission.task, prior=PRIOR)):

@@ -85,7 +85,7 @@ def test_train_leaves_policies_rows_and_a_report(tasklift, building):
     assert len(Path("table.csv").read_text().splitlines()) == 1 + 90 * 44
     code, out, _ = tasklift("runs", "show", "run")
     assert code == 0
-    assert "copy+prior" in out
+    assert "copy-prior" in out
     code, out, _ = tasklift("runs", "list", ".")
     assert code == 0
     assert "training on" in out
@@ -161,17 +161,43 @@ def test_a_folder_with_anything_else_is_left_alone(tasklift, building):
     Path("thesis/chapter1.txt").write_text("precious")
     code, _, err = tasklift("train", building, *SMALL, "--out", "thesis")
     assert code == 2
-    assert "holds other files" in err
+    assert "holds no experiment" in err
     assert [p.name for p in Path("thesis").iterdir()] == ["chapter1.txt"]
 
 
 def test_a_folder_with_another_experiment_is_left_alone(tasklift, building):
     assert tasklift("train", building, *SMALL, "--out", "run")[0] == 0
     before = {p: p.stat().st_mtime_ns for p in Path("run").rglob("*")}
-    code, _, err = tasklift("train", building, "--seeds", 2, "--trials", 3, "--out", "run")
+    code, _, err = tasklift("train", building, "--seeds", 1, "--trials", 4, "--out", "run")
     assert code == 2
-    assert "seeds" in err
+    assert "trials" in err
     assert {p: p.stat().st_mtime_ns for p in Path("run").rglob("*")} == before
+
+
+def test_a_finished_experiment_takes_more_seeds(tasklift, building):
+    assert tasklift("train", building, *SMALL, "--out", "run")[0] == 0
+    assert tasklift("train", building, "--seeds", 2, "--trials", 3, "--out", "run")[0] == 0
+    code, out, _ = tasklift("runs", "list", ".")
+    assert code == 0
+    assert "12" in out  # 6 arms × 2 seeds
+
+
+def test_training_takes_any_arms_and_refuses_unknown_ones(tasklift, building):
+    asked = ("train", building, *SMALL, "--team", "2+2", "--limit", 40, "--out", "run")
+    code, out, _ = tasklift(*asked, "--arms", "direct-400-q90, every-door-300-q90")
+    assert code == 0
+    assert "every-door drill 300, q = .9 against direct, 400 trials, q = .9" in out
+    command = (
+        f"tasklift train {building} --team 2+2 --hostiles 1 --weapons-needed 2 --limit 40 --preset scattered "
+        "--arms direct-400-q90,every-door-300-q90 --seeds 1 --trials 3 --out run"
+    )
+    assert command in Path("run/report.html").read_text()
+    for arms, says in (("direct,evry-door-300-q90", "every-door-300-q90"), ("random", "learns"), ("a,,b", "commas")):
+        code, _, err = tasklift("train", building, "--arms", arms, "--out", "other")
+        assert code == 2
+        assert says in err
+        assert err.count("\n") == 1
+    assert not Path("other").exists()
 
 
 def test_unknown_files_and_policies_are_refused(tasklift, tmp_path):

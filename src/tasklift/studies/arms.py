@@ -95,7 +95,7 @@ class Arm:
     learns
         False: a reference that never changes.
     drawn
-        Whether figures show it.
+        Whether figures show it; where none of the arms is to be drawn, all are.
     rows
         False: of its trials only what is summed up is stored.
     unspent

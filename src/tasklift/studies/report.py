@@ -170,12 +170,12 @@ def glance(
 
 def add_curves(report: Report, samples: Mapping[str, Sample], title: str, arms: Mapping[str, Arm] = ARMS) -> None:
     """Add Figure 4 as interactive curves: steps, robots left and teams left per trial, with 95 % bands."""
+    drawn = [slug for slug in samples if arms[slug].drawn] or list(samples)
     for column, label in (("steps", "steps"), ("robots_left", "robots left"), ("teams_left", "teams left")):
         series = []
-        for slug, sample in samples.items():
-            if arms[slug].drawn:
-                band = stats.mean_band(getattr(sample, column), strata=sample.maps, resamples=1000)
-                series.append(Series(arms[slug].label, band.estimate, band.low, band.high, slug))
+        for slug in drawn:
+            band = stats.mean_band(getattr(samples[slug], column), strata=samples[slug].maps, resamples=1000)
+            series.append(Series(arms[slug].label, band.estimate, band.low, band.high, slug))
         report.curves(series, title=f"{title}: {label}", y_label=label, x_label="trial")
 
 

@@ -233,7 +233,7 @@ def figure4(
 
     figure = page(PAGE, 4.9)
     axes = figure.subplots(2, 3, sharex=True, sharey="col")
-    drawn = {slug: sample for slug, sample in samples.items() if arms[slug].drawn}
+    drawn = {slug: sample for slug, sample in samples.items() if arms[slug].drawn} or samples
     first = next(iter(drawn.values()))
     at = 0
     if run is not None:

@@ -60,7 +60,7 @@ class Cell:
     def of(cls, names: Iterable[str], values: Iterable[str]) -> Cell:
         """Make a cell of names and values that were checked before."""
         cell = object.__new__(cls)
-        object.__setattr__(cell, "items", tuple(zip(names, values, strict=True)))
+        object.__setattr__(cell, "items", tuple(zip(names, values, strict=True)))  # past the frozen dataclass
         return cell
 
     def __getitem__(self, axis: str) -> str:
@@ -90,12 +90,8 @@ class Cell:
         return self.values[:-1]
 
     def __lt__(self, other: Cell) -> bool:
-        return self.place < other.place
-
-    @property
-    def place(self) -> tuple[Any, ...]:
-        """Sorts cells axis by axis; numbers, and numbers within names, sort as numbers."""
-        return tuple(map(_place, self.values))
+        """Axis by axis; numbers, and numbers within names, sort as numbers."""
+        return [*map(_place, self.values)] < [*map(_place, other.values)]
 
     def __str__(self) -> str:
         return ", ".join(f"{name} {value}" for name, value in self.items)
@@ -131,6 +127,11 @@ def _place(value: str) -> tuple[Any, ...]:
         return 0, float(value), value
     parts = re.split(r"([0-9]+)", value)  # text and digits in turn
     return 1, [int(part) if i % 2 else part for i, part in enumerate(parts)], value
+
+
+def in_order(values: Iterable[str]) -> list[str]:
+    """Sort values: numbers, and numbers within names, as numbers."""
+    return sorted(values, key=_place)
 
 
 def grid(**axes: Iterable[str | int]) -> list[Cell]:

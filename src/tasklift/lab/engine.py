@@ -79,25 +79,35 @@ def run(
     for cell in wanted:
         if not store.spec.covers(cell):
             raise TaskliftError(f"cell {cell}: not of this experiment, whose axes are {_axes(store)}")
+    damaged = store.mend()
     there = store.done()
     missing = [cell for cell in wanted if cell not in there]
     store.plan(len(missing))
     done, computed = len(wanted) - len(missing), 0
+    if damaged and progress is not None:
+        progress(done, len(wanted), f"{damaged} damaged cells are computed again")
     with _stop_at_interrupt(progress, lambda: (done, len(wanted))) as stopped:
         groups = _groups_to_do(store, missing)
-        # closing: where a commit fails, the engine ends its workers before the error goes up
-        with closing(_engine(engine, workers, address)(groups, work, store.detail, stopped)) as results:
-            for packed in results:
-                computed += store.add(packed)
-                done += 1
-                if progress is not None:
-                    progress(done, len(wanted), str(packed.cell))
+        try:
+            # closing: where a commit fails, the engine ends its workers before the error goes up
+            with closing(_engine(engine, workers, address)(groups, work, store.detail, stopped)) as results:
+                for packed in results:
+                    computed += store.add(packed)
+                    done += 1
+                    if progress is not None:
+                        progress(done, len(wanted), str(packed.cell))
+        except KeyboardInterrupt:  # the second one
+            raise _interrupted(store, wanted) from None
         if stopped():
-            raise Interrupted(
-                f"stopped: {len(store.done().intersection(wanted))} of {len(wanted)} cells are in "
-                f"{store.path}; the same command goes on from there"
-            )
+            raise _interrupted(store, wanted)
     return Ran(len(wanted), computed, time.perf_counter() - start)
+
+
+def _interrupted(store: Store, wanted: list[Cell]) -> Interrupted:
+    return Interrupted(
+        f"stopped: {len(store.done().intersection(wanted))} of {len(wanted)} cells are in {store.path}; the same "
+        "command goes on from there"
+    )
 
 
 def _axes(store: Store) -> str:

@@ -21,7 +21,6 @@ kill the last cells may be in ``FILE-wal`` only, which belongs to the file until
 
 from __future__ import annotations
 
-import json
 import sqlite3
 import time
 import zlib
@@ -104,9 +103,9 @@ class Meta(NamedTuple):
         """Read and check it."""
         kept = dict(connection.execute("SELECT key, value FROM meta ORDER BY key LIMIT 99"))
         crc = kept.pop("crc", None)
-        if crc != str(checksum(*(part for item in sorted(kept.items()) for part in item))):
+        if crc != str(checksum("meta", canonical_json(kept))):
             raise damaged(path, "its spec is not what it was")
-        spec = Spec(kept["name"], kept["settings"], kept["axes"], tuple(json.loads(kept["over"])))
+        spec = Spec.parse(kept["name"], kept["settings"], kept["axes"], kept["over"])
         return cls(spec, "rows" if kept["detail"] == "rows" else "summary", kept["release"], int(kept["planned"]))
 
     def write(self, connection: sqlite3.Connection) -> None:
@@ -114,17 +113,20 @@ class Meta(NamedTuple):
         spec = self.spec
         kept = {"name": spec.name, "settings": spec.canonical, "axes": spec.plan, "over": canonical_json(spec.over)}
         kept |= {"detail": self.detail, "release": self.release, "planned": str(self.planned)}
-        kept["crc"] = str(checksum(*(part for item in sorted(kept.items()) for part in item)))
+        kept["crc"] = str(checksum("meta", canonical_json(kept)))
         connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", kept.items())
 
     def refuse_another(self, asked: Meta, path: Path) -> None:
         """Raise if the rows of ``asked`` do not belong into this file."""
         changed = self.spec.conflicts(asked.spec)
         if changed:
-            more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+            lines = [one_line(line, 80) for line in changed[:3]]
+            while len(lines) > 1 and len(f"{path}{'; '.join(lines)}") > 180:
+                lines.pop()
+            more = f"; and {len(changed) - len(lines)} more" if len(changed) > len(lines) else ""
             raise TaskliftError(
-                f"{path}: holds another experiment ({self.spec.name!r}): it has "
-                f"{'; '.join(changed[:3])}{more}; nothing was touched, choose another --out or give its settings"
+                f"{path}: holds another experiment: {'; '.join(lines)}{more}; nothing was touched, choose another "
+                "--out or give its settings"
             )
         if self.detail != asked.detail:
             raise TaskliftError(f"{path}: keeps detail {self.detail!r}, not {asked.detail!r}; nothing was touched")

@@ -11,6 +11,7 @@ import math
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -19,14 +20,16 @@ from numpy.typing import NDArray
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
 from tasklift.lab.cell import Cell, CellResult
+from tasklift.text import shown
 
 Detail = Literal["rows", "summary"]
 
 #: Numbers that one stage or one attachment may have; 256 MiB of memory when they are read.
 MOST_VALUES = 2**25
 
-_LONGEST_HEADER = 2**20
+_MOST_BYTES = 8 * MOST_VALUES + 2**20
 _WIDE = {"b": np.bool_, "i": np.int64, "u": np.int64, "f": np.float64}
+_TYPES = {"|b1", "|i1", "|u1", "<f2"} | {f"<{kind}{size}" for kind in "iuf" for size in (2, 4, 8)}
 
 
 def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -48,31 +51,48 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return zlib.compress(json.dumps(header).encode() + b"\n" + b"".join(parts), 1)
 
 
-def unpack(data: bytes) -> dict[str, NDArray[Any]]:
+def unpack(data: bytes, only: str | None = None) -> dict[str, NDArray[Any]]:
     """Undo :func:`pack`: bool stays bool, integers come back as int64, floats as float64.
+
+    Parameters
+    ----------
+    data
+        The bytes.
+    only
+        The one array to return, if it is there; by default all.
 
     Raises
     ------
     ValueError
-        If the bytes are not a packed set of arrays, or one larger than :data:`MOST_VALUES`; nothing large is
-        decompressed before that is known.
+        If the bytes are not a packed set of arrays, or one of more than :data:`MOST_VALUES` numbers; memory is taken
+        for no more than that.
     """
     stream = zlib.decompressobj()
-    start = stream.decompress(data, _LONGEST_HEADER)
-    end = start.index(b"\n")
-    header = [(name, np.dtype(dtype), [int(n) for n in shape]) for name, dtype, shape in json.loads(start[:end])]
-    _refuse_too_many([shape for _, _, shape in header])
-    size = end + 1 + sum(dtype.itemsize * math.prod(shape) for _, dtype, shape in header)
-    raw = start + (stream.decompress(stream.unconsumed_tail, size - len(start) + 1) if size > len(start) else b"")
-    if len(raw) != size or not stream.eof or stream.unused_data:
-        raise ValueError(f"{len(raw)} bytes of arrays, expected {size}")
+    raw = stream.decompress(data, _MOST_BYTES)
+    end = raw.index(b"\n") + 1
+    header, size = _read_header(raw[:end])
+    if end + size != len(raw) or not stream.eof or stream.unused_data:
+        raise ValueError(f"{len(raw) - end} bytes of arrays, expected {size}")
     arrays: dict[str, NDArray[Any]] = {}
-    offset = end + 1
-    for name, dtype, shape in header:
-        array = np.frombuffer(raw, dtype, math.prod(shape), offset).reshape(shape)
-        offset += array.nbytes
-        arrays[name] = array.astype(_WIDE[dtype.kind])
+    offset = end
+    for name, dtype, count, shape, length in header:
+        if only is None or name == only:
+            wide = _WIDE[dtype.kind]
+            arrays[name] = np.frombuffer(raw, dtype, count, offset).astype(wide).reshape(shape)
+        offset += length
     return arrays
+
+
+@lru_cache(maxsize=256)
+def _read_header(line: bytes) -> tuple[list[tuple[str, np.dtype[Any], int, list[int], int]], int]:
+    """Return (name, type, count, shape, bytes) of each array, and the bytes of all; cells have few headers."""
+    header = []
+    for name, dtype, shape in json.loads(line):
+        if dtype not in _TYPES:
+            raise ValueError(f"an array of type {dtype!r}")
+        header.append((name, np.dtype(dtype), math.prod(shape), shape, np.dtype(dtype).itemsize * math.prod(shape)))
+    _refuse_too_many(shape for _, _, _, shape, _ in header)
+    return header, sum(length for *_, length in header)
 
 
 def _refuse_too_many(shapes: Iterable[Sequence[int]]) -> None:
@@ -87,47 +107,54 @@ def _refuse_too_many(shapes: Iterable[Sequence[int]]) -> None:
 
 @dataclass(frozen=True)
 class Packed:
-    """A cell's result, ready to be stored: made where the work is done, so that the store only writes."""
+    """A cell's result, ready to be stored: made where the work is done, so that the store only writes.
+
+    ``contents`` has the checksums of all parts, as JSON: ``{"trials": {stage: crc}, "attachments": {name: crc}}``.
+    """
 
     cell: Cell
     summary: str
     trials: tuple[tuple[str, int, bytes], ...]
     attachments: tuple[tuple[str, str | bytes], ...]
+    contents: str
 
     @classmethod
     def of(cls, cell: Cell, result: CellResult, detail: Detail = "rows") -> Packed:
         """Pack a result; with ``detail="summary"`` only its summary."""
         try:
-            summary = canonical_json(dict(result.summary))
-            if detail == "summary":
-                return cls(cell, summary, (), ())
-            trials = tuple(
-                (stage, len(next(iter(columns.values()))), pack(columns))
-                for stage, columns in sorted(result.stages.items())
-            )
-            attachments = tuple(
-                (name, pack({"": value}) if isinstance(value, np.ndarray) else canonical_json(value))
-                for name, value in sorted(result.attachments.items())
-            )
+            summary = canonical_json(scalars(dict(result.summary)))
+            summary.encode()
+            trials: list[tuple[str, int, bytes]] = []
+            attachments: list[tuple[str, str | bytes]] = []
+            if detail == "rows":
+                for stage, columns in sorted(result.stages.items()):
+                    trials.append((stage, len(next(iter(columns.values()))), pack(columns)))
+                for name, value in sorted(result.attachments.items()):
+                    attachments.append(
+                        (name, pack({"": value}) if isinstance(value, np.ndarray) else canonical_json(value))
+                    )
+            contents = {
+                "trials": {stage: checksum(stage, data, n) for stage, n, data in trials},
+                "attachments": {name: checksum(name, data) for name, data in attachments},
+            }
         except (TypeError, ValueError) as error:
             raise TaskliftError(f"cell {cell}: its result cannot be stored: {error}") from error
-        return cls(cell, summary, trials, attachments)
-
-    @property
-    def contents(self) -> str:
-        """The checksums of all parts as JSON: ``{"trials": {stage: crc}, "attachments": {name: crc}}``."""
-        return canonical_json(
-            {
-                "trials": {stage: checksum(stage, n, data) for stage, n, data in self.trials},
-                "attachments": {name: checksum(name, data) for name, data in self.attachments},
-            }
-        )
+        return cls(cell, summary, tuple(trials), tuple(attachments), canonical_json(contents))
 
 
-def checksum(*parts: str | int | bytes) -> int:
-    """CRC-32 over texts, numbers and bytes, each with its type and length."""
-    value = 0
-    for part in parts:
-        raw = part if isinstance(part, bytes) else str(part).encode("utf-8", "surrogatepass")
-        value = zlib.crc32(raw, zlib.crc32(f"{type(part).__name__} {len(raw)} ".encode(), value))
-    return value
+def scalars(summary: Any) -> dict[str, Any]:
+    """Return a summary if it is a mapping from names to texts, finite numbers of at most 64 bits, or None."""
+    if not isinstance(summary, dict):
+        raise TypeError("a summary that is not a mapping")
+    for name, value in summary.items():
+        whole = isinstance(value, int) and abs(value) < 2**63
+        real = isinstance(value, float) and math.isfinite(value)
+        if not (value is None or isinstance(value, str) or whole or real):
+            raise ValueError(f"the summary's {name!r} is {shown(value)}, not a text, a finite number or None")
+    return summary
+
+
+def checksum(name: str, data: str | bytes, n: int = 0) -> int:
+    """CRC-32 of a part: its name, its number of trials, whether it is text or bytes, and its content."""
+    kind, raw = ("text", data.encode()) if isinstance(data, str) else ("bytes", data)
+    return zlib.crc32(raw, zlib.crc32(f"{name}\0{n}\0{kind}\0".encode()))

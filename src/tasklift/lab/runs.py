@@ -157,12 +157,21 @@ def export(
 
     Parameters
     ----------
+    path
+        The experiment's folder or file.
+    out
+        The file to write.
     what
         ``"trials"``: a row per trial, with spec (the first 12 digits of its id), release, axes, stage, trial
         (from 1) and every column.
         ``"cells"``: a row per cell with its summaries.
     force
         Whether a file that is there is replaced; the command line asks for ``--force``.
+
+    Raises
+    ------
+    TaskliftError
+        If there is no experiment, it is damaged, or ``out`` cannot be written; a file that was there is still there.
     """
     target = output_file(out, (".csv", ".parquet"), force=force)
     if what not in ("trials", "cells"):

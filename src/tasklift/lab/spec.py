@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from tasklift.checks import check_name, plain
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json
+from tasklift.files import canonical_json, parse_json
 from tasklift.lab.cell import Cell, axis_name, axis_value, grid
+from tasklift.text import shown
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,18 @@ class Spec:
             found = f"'over' names {unknown[0]!r}, which is not among them" if plan else "found none"
             raise TaskliftError(f"spec {name!r}: expected axes such as {{'seed': range(5)}}; {found}")
         try:
-            return cls(name, canonical_json(dict(settings)), canonical_json(plan), tuple(over))
-        except (TypeError, ValueError) as error:
-            raise TaskliftError(f"spec {name!r}: settings and axes must be plain JSON values: {error}") from error
+            spec = cls(check_name(name, "spec"), canonical_json(dict(settings)), canonical_json(plan), tuple(over))
+            plain([spec.settings, spec.axes], "values")
+        except (TypeError, ValueError, RecursionError) as error:
+            raise TaskliftError(f"spec {shown(name)}: settings and axes must be plain JSON values: {error}") from error
+        return spec
+
+    @classmethod
+    def parse(cls, name: str, settings: str, axes: str, over: str) -> Spec:
+        """Make a spec of its texts, checked as in :meth:`of`; the canonical ones come back as they are."""
+        plan = parse_json(axes, "axes")
+        return cls.of(name, parse_json(settings, "settings"), {axis: dict(values) for axis, values in plan},
+                      over=parse_json(over, "over"))  # fmt: skip
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -143,7 +155,11 @@ def differences(a: Any, b: Any, where: str = "") -> list[str]:
         return found
     if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         return [line for i, (x, y) in enumerate(zip(a, b, strict=True)) for line in differences(x, y, f"{where}[{i}]")]
-    return [] if a == b and type(a) is type(b) else [f"{where}: {_short(a)}, not {_short(b)}"]
+    if a == b and type(a) is type(b):
+        return []
+    if all(isinstance(value, str) and re.fullmatch("[0-9a-f]{32,}", value) for value in (a, b)):
+        return [f"{where}: another one"]  # digests tell people nothing
+    return [f"{where}: {_short(a)}, not {_short(b)}"]
 
 
 def _short(value: Any) -> str:

@@ -10,9 +10,11 @@ import hashlib
 import json
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -23,11 +25,13 @@ from numpy.typing import NDArray
 import tasklift
 from tasklift.errors import TaskliftError
 from tasklift.lab import file
-from tasklift.lab.cell import Cell, CellResult, axis_value
+from tasklift.lab.cell import Cell, CellResult, axis_value, in_order
 from tasklift.lab.file import FILE_NAME, Meta, explained
-from tasklift.lab.packing import Detail, Packed, checksum, unpack
+from tasklift.lab.packing import Detail, Packed, checksum, scalars, unpack
 from tasklift.lab.spec import Spec
 from tasklift.text import one_line
+
+_PAGES_IN_LOG = 250  # about 1 MB, some 30 cells
 
 
 class _Row(NamedTuple):
@@ -36,7 +40,7 @@ class _Row(NamedTuple):
     key: int
     cell: Cell
     summary: str
-    contents: dict[str, dict[str, int]]
+    contents: str
 
 
 class Store:
@@ -122,6 +126,9 @@ class Store:
                     if joined != there:
                         joined.write(connection)
                 connection.execute("COMMIT")
+                # a copy of this file alone, after a kill, should have nearly all
+                connection.execute(f"PRAGMA wal_autocheckpoint = {_PAGES_IN_LOG}")
+                connection.execute("PRAGMA wal_checkpoint(PASSIVE)")
                 return cls(where, connection, spec)
             except BaseException:
                 connection.close()
@@ -194,7 +201,7 @@ class Store:
             If it was there with other content, so the work is not a function of the cell; the old one stays.
         """
         cell, contents = packed.cell, packed.contents
-        crc = self._checksum(cell.values, packed.summary, contents)
+        crc = self._seal(cell.values, packed.summary, contents)
         with self._transaction():
             marks = ", ".join("?" * (4 + len(cell.items)))
             cursor = self._db.execute(
@@ -235,7 +242,9 @@ class Store:
         return {row.cell for row in self._selected({})}
 
     def __contains__(self, cell: Cell) -> bool:
-        return any(row.cell == cell for row in self._selected(cell.axes))
+        where = " AND ".join(f'"{axis}" = ?' for axis in cell.names)
+        with explained(self.path):
+            return self._db.execute(f"SELECT 1 FROM cells WHERE {where}", cell.values).fetchone() is not None
 
     def __len__(self) -> int:
         return len(self._selected({}))
@@ -264,8 +273,8 @@ class Store:
         for row in self._selected(axes):
             with explained(self.path):
                 stages = {stage: unpack(data) for stage, _, data in self._trials(row)}
-                extra = {name: _attachment(data) for name, data in self._attachments(row)} if attachments else {}
-                yield row.cell, CellResult(stages, json.loads(row.summary), extra)
+                extra = {name: _attachment(data) for name, _, data in self._attachments(row)} if attachments else {}
+                yield row.cell, CellResult(stages, scalars(json.loads(row.summary)), extra)
 
     def result(self, cell: Cell) -> CellResult:
         """One cell's result with everything that the store keeps of it."""
@@ -291,15 +300,20 @@ class Store:
             If there are no such rows, they are of unequal length, or a cell is damaged.
         """
         cells, rows = [], []
-        for row in self._selected(axes):
-            if stage not in row.contents["trials"]:
-                continue
-            with explained(self.path):
-                columns = unpack(self._trials(row, stage)[0][2])
-            if column not in columns:
-                raise TaskliftError(f"{self.path}: stage {stage!r} has {sorted(columns)}, not {column!r}")
-            cells.append(row.cell)
-            rows.append(columns[column])
+        with explained(self.path):
+            selected = self._selected(axes)  # first: what another process commits meanwhile is not among them
+            where, given = self._condition(axes)
+            query = "SELECT cell, n, columns FROM trials WHERE stage = :stage AND cell IN (SELECT id FROM cells WHERE "
+            parts = self._db.execute(f"{query}{where})", given | {"stage": stage})
+            packed = {key: [(stage, n, data)] for key, n, data in parts}
+            for row in selected:
+                kept = {name: crc for name, crc in json.loads(row.contents)["trials"].items() if name == stage}
+                for _, _, data in self._as_written(row, packed.get(row.key, []), kept):
+                    found = unpack(data, column)
+                    if column not in found:
+                        raise TaskliftError(f"{self.path}: stage {stage!r} has {sorted(unpack(data))}, not {column!r}")
+                    cells.append(row.cell)
+                    rows.append(found[column])
         if not rows:
             asked = "".join(f", {axis} {value}" for axis, value in axes.items() if value is not None)
             raise TaskliftError(
@@ -317,7 +331,8 @@ class Store:
     def outlines(self, **axes: str | int | None) -> Iterator[tuple[Cell, dict[str, Any]]]:
         """Yield cells with their summaries only, which is quick, in the order of :meth:`select`."""
         for row in self._selected(axes):
-            yield row.cell, json.loads(row.summary)
+            with explained(self.path):
+                yield row.cell, scalars(json.loads(row.summary))
 
     def summaries(self, name: str, /, **axes: str | int | None) -> Curves:
         """One summary value, ``(n, 1)``, of the selected cells, in the order of the grid; None is nan."""
@@ -344,43 +359,61 @@ class Store:
 
     def _selected(self, axes: Mapping[str, str | int | None]) -> list[_Row]:
         """The rows of the spec's cells that have these values, in order; one damaged row is an error."""
+        found = []
+        places = list(self._places.values())
         with explained(self.path):
-            rows = []
             for row in self._rows(axes):
                 if isinstance(row, int):
                     raise self._damage(row)
-                if self.spec.covers(row.cell):
-                    rows.append(row)
-        return sorted(rows, key=lambda row: row.cell.place)
+                try:
+                    found.append((tuple([of[value] for of, value in zip(places, row.cell.values, strict=True)]), row))
+                except KeyError:  # not among the values that were asked for
+                    continue
+        found.sort()
+        return [row for _, row in found]
+
+    @cached_property
+    def _places(self) -> dict[str, dict[str, int]]:
+        """For each axis the place of each of the spec's values."""
+        return {axis: {value: i for i, value in enumerate(in_order(of))} for axis, of in self.spec.axes.items()}
 
     def _rows(self, axes: Mapping[str, str | int | None]) -> Iterator[_Row | int]:
         """Yield the rows that have these values; of a damaged one its number."""
-        given = {axis: axis_value(axis, value) for axis, value in axes.items() if value is not None}
-        names = self._axes
-        if unknown := [axis for axis in given if axis not in names]:
-            raise TaskliftError(f"{self.path}: no axis {unknown[0]!r}; the axes are {', '.join(names)}")
-        where = " AND ".join(f'"{axis}" = :{axis}' for axis in given) or "1"
-        columns = ", ".join(f'"{axis}"' for axis in names)
+        where, given = self._condition(axes)
+        columns = ", ".join(f'"{axis}"' for axis in self._axes)
         query = f"SELECT id, summary, contents, crc, {columns} FROM cells WHERE {where}"
         for key, summary, contents, crc, *values in self._db.execute(query, given):
-            if self._checksum(values, summary, contents) == crc:
-                yield _Row(key, Cell.of(names, values), summary, json.loads(contents))
-            else:
-                yield key
+            try:
+                intact = self._seal(values, summary, contents) == crc
+            except TypeError:  # something is not even text
+                intact = False
+            yield _Row(key, Cell.of(self._axes, values), summary, contents) if intact else key
 
-    def _trials(self, row: _Row, stage: str | None = None) -> list[tuple[str, int, bytes]]:
-        """The packed stages of a cell, or the one that is named."""
-        query = "SELECT stage, n, columns FROM trials WHERE cell = ?1 AND (?2 IS NULL OR stage = ?2) ORDER BY stage"
-        parts = self._db.execute(query, (row.key, stage)).fetchall()
-        kept = row.contents["trials"]
-        if {part[0]: checksum(*part) for part in parts} != ({stage: kept[stage]} if stage else kept):
-            raise self._damage(row.key)
-        return parts
+    def _condition(self, axes: Mapping[str, str | int | None]) -> tuple[str, dict[str, str]]:
+        """An SQL condition for the axes that have a value, and its parameters."""
+        given = {axis: axis_value(axis, value) for axis, value in axes.items() if value is not None}
+        if unknown := [axis for axis in given if axis not in self._axes]:
+            raise TaskliftError(f"{self.path}: no axis {unknown[0]!r}; the axes are {', '.join(self._axes)}")
+        return " AND ".join(f'"{axis}" = :{axis}' for axis in given) or "1", given
 
-    def _attachments(self, row: _Row) -> list[tuple[str, str | bytes]]:
-        query = "SELECT name, data FROM attachments WHERE cell = ? ORDER BY name"
+    def _seal(self, values: Iterable[str], summary: str, contents: str) -> int:
+        """Checksum of a row of cells."""
+        return zlib.crc32("\0".join((self._id, *values, summary, contents)).encode())
+
+    def _trials(self, row: _Row) -> list[tuple[str, int, bytes]]:
+        """The packed stages of a cell: name, trials, columns."""
+        query = "SELECT stage, n, columns FROM trials WHERE cell = ? ORDER BY stage"
+        return self._as_written(row, self._db.execute(query, (row.key,)).fetchall(), json.loads(row.contents)["trials"])
+
+    def _attachments(self, row: _Row) -> list[tuple[str, int, str | bytes]]:
+        """The attachments of a cell: name, 0, text or bytes."""
+        query = "SELECT name, 0, data FROM attachments WHERE cell = ? ORDER BY name"
         parts = self._db.execute(query, (row.key,)).fetchall()
-        if {part[0]: checksum(*part) for part in parts} != row.contents["attachments"]:
+        return self._as_written(row, parts, json.loads(row.contents)["attachments"])
+
+    def _as_written(self, row: _Row, parts: list[Any], kept: dict[str, int]) -> list[Any]:
+        """Return the parts of a cell if they have the checksums that the cell keeps of them."""
+        if {name: checksum(name, data, n) for name, n, data in parts} != kept:
             raise self._damage(row.key)
         return parts
 
@@ -388,11 +421,8 @@ class Store:
         """Whether all that is kept of a cell is as it was written."""
         try:
             return not isinstance(row, int) and bool((self._trials(row), self._attachments(row)))
-        except TaskliftError:
+        except (ValueError, TypeError, AttributeError, sqlite3.Error):  # a TaskliftError is a ValueError
             return False
-
-    def _checksum(self, values: Sequence[str], summary: str, contents: str) -> int:
-        return checksum(self._id, *values, summary, contents)
 
     def _damage(self, key: int) -> TaskliftError:
         columns = ", ".join(f'"{axis}"' for axis in self._axes)

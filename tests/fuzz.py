@@ -16,11 +16,13 @@ import hashlib
 import json
 import random
 import resource
+import sqlite3
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +58,7 @@ class Reader:
     read: Callable[[Path], Any]
     use: Callable[[Any, Path], None] = lambda read, path: None
     tidy: Callable[[Any], Any] = lambda document: document
+    mutate: Callable[[random.Random, bytes], bytes] | None = None
 
 
 # -- mutation ----------------------------------------------------------------------------------------------
@@ -170,7 +173,9 @@ def fuzz(name: str, reader: Reader, folder: Path, runs: range) -> Figures:
         rng = random.Random(int.from_bytes(hashlib.sha256(f"{name} {number}".encode()).digest()[:8], "big"))
         chosen = rng.choice(names)
         path = folder / chosen
-        path.write_bytes(mutated(rng, samples[chosen], reader.tidy))
+        path.write_bytes(
+            reader.mutate(rng, samples[chosen]) if reader.mutate else mutated(rng, samples[chosen], reader.tidy)
+        )
         start = time.perf_counter()
         try:
             try:
@@ -390,11 +395,161 @@ def _use_map(found: Any, path: Path) -> None:
             draw_overlay(found, path.with_name("overlay.png"))
 
 
+def _store_work(cell: Any) -> Any:
+    """A cell's numbers: a function of the cell alone."""
+    import numpy as np
+
+    from tasklift.lab import CellResult
+
+    rng = np.random.default_rng([*str(cell).encode()])
+    steps = rng.integers(50, 601, 40)
+    return CellResult(
+        {"source": {"steps": rng.integers(0, 70_000, 8)}, "target": {"steps": steps, "share": rng.random(40)}},
+        {"steps": float(steps.mean()), "losses": int(steps[0]), "time_to": None, "word": "abc"},
+        {"weights": rng.random((3, 4)), "note": {"best": [1, 2]}},
+    )
+
+
+@cache
+def _store_spec() -> Any:
+    from tasklift.lab import Spec
+
+    axes = {"map": {"a": "7f", "b": "e0"}, "seed": range(8), "arm": ["direct", "copy"]}
+    return Spec.of("stored", {"trials": 40, "team": [10, 5]}, axes, over=["map", "seed"])
+
+
+@cache
+def _stores() -> dict[str, bytes]:
+    from tasklift.lab import FILE_NAME, Store, run
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / FILE_NAME
+        with Store.open(path, _store_spec()) as store:
+            run(store, _store_spec().cells(), _store_work, workers=1)
+        return {FILE_NAME: path.read_bytes()}
+
+
+def _damaged_store(rng: random.Random, sample: bytes) -> bytes:
+    """Overwrite bytes, as disks do; exchange pages; change rows through SQL, as people do; or anything at all."""
+    kind, data = rng.randrange(10), bytearray(sample)
+    if kind < 4:
+        for _ in range(rng.choice((1, 1, 1, 2, 5))):
+            at = rng.randrange(len(data))
+            data[at] = rng.choice((data[at] ^ 1 << rng.randrange(8), rng.randrange(256), 0, 255))
+    elif kind == 4:
+        start, size = rng.randrange(len(data)), rng.choice((4, 100, 512, 4096))
+        data[start : start + size] = bytes(len(data[start : start + size]))
+    elif kind == 5:
+        pages = len(data) // 4096
+        one, other = (4096 * rng.randrange(pages) for _ in range(2))
+        data[one : one + 4096], data[other : other + 4096] = data[other : other + 4096], data[one : one + 4096]
+    elif kind < 9:
+        with sqlite3.connect(":memory:", isolation_level=None) as db:
+            db.deserialize(bytes(data[:18]) + b"\x01\x01" + bytes(data[20:]))  # memory has no write-ahead log
+            for _ in range(rng.choice((1, 1, 3))):
+                try:
+                    _change_rows(rng, db)
+                except (sqlite3.Error, UnicodeEncodeError):
+                    continue
+            data[:] = db.serialize()
+        db.close()
+    else:
+        return mutated(rng, sample)
+    return bytes(data)
+
+
+def _change_rows(rng: random.Random, db: sqlite3.Connection) -> None:
+    table, columns = rng.choice(
+        (("meta", ("key", "value")), ("cells", ("id", "summary", "contents", "crc", "map", "seed", "arm")),
+         ("trials", ("cell", "stage", "n", "columns")), ("attachments", ("cell", "name", "data")))
+    )  # fmt: skip
+    where = f"rowid = {rng.randrange(1, 34)}" if table == "cells" else f"{columns[0]} = :one"
+    ones = [one for (one,) in db.execute(f"SELECT {columns[0]} FROM {table}")]
+    one, other = rng.choice(ones), rng.choice(ones)
+    column, kind = rng.choice(columns), rng.randrange(10)
+    if kind == 0 and table != "cells":  # without a cell, a store is one whose run was stopped
+        db.execute(f"DELETE FROM {table} WHERE {where}", {"one": one})
+    elif kind == 1:
+        db.execute(f"CREATE VIEW v{rng.randrange(9)} AS SELECT * FROM {table}")
+    elif kind == 2:
+        db.execute(f"PRAGMA user_version = {rng.randrange(4)}")
+    elif kind == 3:  # what another row has
+        value = f"(SELECT {column} FROM {table} WHERE {columns[0]} = :other)"
+        db.execute(f"UPDATE {table} SET {column} = {value} WHERE {where}", {"one": one, "other": other})
+    else:
+        (value,) = rng.choice(db.execute(f"SELECT {column} FROM {table}").fetchall() or [(None,)])
+        changed = bytearray(value if isinstance(value, bytes) else str(value).encode())
+        _damage(rng, changed)
+        new = rng.choice((bytes(changed), changed.decode(errors="replace"), rng.choice(VALUES[:40])))
+        if isinstance(new, int) and abs(new) >= 2**63:
+            new = str(new)
+        db.execute(f"UPDATE {table} SET {column} = :new WHERE {where}", {"one": one, "new": new})
+
+
+def _read_store(path: Path) -> Any:
+    """Everything that can be asked of a store."""
+    from tasklift.lab import Store, runs
+
+    with Store.read(path) as store:
+        read: dict[str, Any] = {
+            "select": [(cell, str(vars(result))) for cell, result in store.select(attachments=True)],
+            "some": [(cell, str(vars(result))) for cell, result in store.select(arm="copy", map="b")],
+            "curves": [store.curves(*asked).values.tolist() for asked in (("target", "share"), ("source", "steps"))],
+            "one": store.curves("target", "steps", arm="direct").values.tolist(),
+            "outlines": list(store.outlines(arm="copy")),
+            "summaries": store.summaries("steps").values.tolist(),
+            "done": sorted(store.done()),
+            "length": len(store),
+            "digest": store.digest(),
+            "spec": (store.spec.settings, store.spec.axes, store.spec.over, store.spec.name, store.planned),
+        }
+    out = path.with_suffix(".csv")
+    for what in ("trials", "cells"):
+        runs.export(path, out, what=what)
+        read[what] = out.read_text()
+    read["show"] = [table.rows for table in runs.show(path)]
+    read["compare"] = [table.rows for table in runs.compare(path, between=("arm", "direct", "copy"))]
+    return read
+
+
+@cache
+def _undamaged() -> Any:
+    from tasklift.lab import FILE_NAME
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / FILE_NAME
+        path.write_bytes(_stores()[FILE_NAME])
+        return _read_store(path) | {"show": None}
+
+
+def _use_store(read: Any, path: Path) -> None:
+    """What was read must be what was written; release and path apart, which no reader computes with."""
+    for key, expected in _undamaged().items():
+        assert key == "show" or read[key] == expected, f"{key} is not what was written"
+
+
+def _resume_store(path: Path) -> str:
+    """Run the experiment again on what is there; return the digest of its rows."""
+    from tasklift.lab import Store, run
+
+    with Store.open(path, _store_spec()) as store:
+        run(store, _store_spec().cells(), _store_work, workers=1)
+        return store.digest()
+
+
+def _use_resumed(digest: str, path: Path) -> None:
+    assert digest == _undamaged()["digest"], "a resumed run has other rows"
+    left = [name.name for name in path.parent.iterdir() if name.name != path.name]
+    assert not left, f"left behind: {left}"
+
+
 READERS = {
     "policy": Reader(_policies, _read_policy, _use_policy, _without_checksum),
     "building": Reader(_buildings, _read_building, _use_building),
     "spec": Reader(_specs, _read_spec),
     "replay": Reader(_replays, _read_replay, _use_replay),
+    "store": Reader(_stores, _read_store, _use_store, mutate=_damaged_store),
+    "resume": Reader(_stores, _resume_store, _use_resumed, mutate=_damaged_store),
     **_map_readers(),
 }
 

@@ -16,7 +16,8 @@ it again.
 
 The journal is a write-ahead log with ``synchronous = NORMAL``: a killed process loses nothing that was
 committed; a power cut may lose the last cells, which a resumed run computes again, and damages nothing. After a
-kill the last cells may be in ``FILE-wal`` only, which belongs to the file until the next program closes it.
+kill the last cells may be in ``FILE-wal`` only, which belongs to the file until the next run closes it. A store that
+was closed has no log: it is one file, and reading it leaves nothing beside it.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ APPLICATION = 0x7461736B
 VERSION = 2
 META = "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID"
 MOST_BYTES = 2**28  # of one value in the file
+_PAGES_IN_LOG = 250  # about 1 MB, some 30 cells: what a copy of the file without its log may lack
 
 
 def schema(axes: list[str]) -> list[str]:
@@ -173,6 +175,7 @@ def write_ahead(connection: sqlite3.Connection) -> None:
     for attempt in range(100):
         try:
             connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute(f"PRAGMA wal_autocheckpoint = {_PAGES_IN_LOG}")
             return
         except sqlite3.OperationalError as error:
             if "locked" not in str(error) or attempt == 99:

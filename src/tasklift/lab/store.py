@@ -31,8 +31,6 @@ from tasklift.lab.packing import Detail, Packed, checksum, scalars, unpack
 from tasklift.lab.spec import Spec
 from tasklift.text import one_line
 
-_PAGES_IN_LOG = 250  # about 1 MB, some 30 cells
-
 
 class _Row(NamedTuple):
     """A cell as it is kept, its checksum compared."""
@@ -78,6 +76,7 @@ class Store:
     def __init__(self, path: Path, connection: sqlite3.Connection, asked: Spec | None = None) -> None:
         self.path = path
         self._db = connection
+        self._logging = connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
         there = Meta.read(connection, path)
         self.spec, self.detail, self.release = asked or there.spec, there.detail, there.release
         self._id, self._axes = there.spec.id, tuple(there.spec.axes)
@@ -110,7 +109,10 @@ class Store:
             try:
                 connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, file.MOST_BYTES)
                 if not file.is_empty(connection, where):
-                    Meta.read(connection, where).refuse_another(asked, where)
+                    there = Meta.read(connection, where)
+                    there.refuse_another(asked, where)
+                    if there.spec.joined(spec) == there.spec:  # nothing new: the file stays as it is
+                        return cls(where, connection, spec)
                 file.write_ahead(connection)
                 connection.execute("BEGIN IMMEDIATE")
                 if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() == (0,):
@@ -126,9 +128,7 @@ class Store:
                     if joined != there:
                         joined.write(connection)
                 connection.execute("COMMIT")
-                # a copy of this file alone, after a kill, should have nearly all
-                connection.execute(f"PRAGMA wal_autocheckpoint = {_PAGES_IN_LOG}")
-                connection.execute("PRAGMA wal_checkpoint(PASSIVE)")
+                connection.execute("PRAGMA wal_checkpoint(PASSIVE)")  # a copy of this file alone says what it is
                 return cls(where, connection, spec)
             except BaseException:
                 connection.close()
@@ -163,6 +163,10 @@ class Store:
     def close(self) -> None:
         """Close the file; the last one to close it folds the write-ahead log into it."""
         with explained(self.path):
+            if self._logging:
+                with suppress(sqlite3.Error):  # where another process has it open, that one will
+                    self._db.execute("PRAGMA busy_timeout = 0")
+                    self._db.execute("PRAGMA journal_mode = DELETE")  # reading a file with a log leaves files beside it
             self._db.close()
 
     def __enter__(self) -> Store:
@@ -177,19 +181,26 @@ class Store:
 
     def plan(self, missing: int) -> None:
         """Note how many cells are still to come, for those who look at an unfinished experiment."""
-        with self._transaction():
+        with explained(self.path):
             (count,) = self._db.execute("SELECT count(*) FROM cells").fetchone()
-            there = Meta.read(self._db, self.path)
-            if there.planned != count + missing:
-                there._replace(planned=count + missing).write(self._db)
+        if self.planned != count + missing:
+            with self._transaction():
+                Meta.read(self._db, self.path)._replace(planned=count + missing).write(self._db)
 
     def mend(self) -> int:
         """Remove damaged cells, so that a run computes them again; return how many there were."""
-        with self._transaction():
+        with explained(self.path):
             damaged = [row if isinstance(row, int) else row.key for row in self._rows({}) if not self._intact(row)]
-            self._db.executemany("DELETE FROM cells WHERE id = ?", [(key,) for key in damaged])
-            for table in ("trials", "attachments"):
-                self._db.execute(f"DELETE FROM {table} WHERE cell NOT IN (SELECT id FROM cells)")
+            astray = [
+                (table, cell)
+                for table in ("trials", "attachments")
+                for (cell,) in self._db.execute(f"SELECT cell FROM {table} WHERE cell NOT IN (SELECT id FROM cells)")
+            ]
+        if damaged or astray:
+            with self._transaction():
+                self._db.executemany("DELETE FROM cells WHERE id = ?", [(key,) for key in damaged])
+                for table, cell in [*astray, *((t, key) for key in damaged for t in ("trials", "attachments"))]:
+                    self._db.execute(f"DELETE FROM {table} WHERE cell = ?", (cell,))
         return len(damaged)
 
     def add(self, packed: Packed) -> bool:
@@ -226,6 +237,9 @@ class Store:
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         with explained(self.path):
+            if not self._logging:
+                file.write_ahead(self._db)
+                self._logging = True
             self._db.execute("BEGIN IMMEDIATE")
             try:
                 yield

@@ -1,0 +1,46 @@
+"""``tasklift certify``: bounds on what a policy solves and loses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tasklift.cli.options import Numbers, path, positive, progress
+from tasklift.cli.terminal import say
+
+
+@click.command("certify")
+@click.argument("policy", type=path, required=False)
+@click.option("--building", type=path, help="The building.  [default: building.json beside the policy]")
+@click.option("--buildings", help="In place of one building: generated ones, such as 21-25-6.")
+@click.option("--team", default="10+5", show_default=True, help="Scouts+weapon robots.")
+@click.option("--hostiles", type=Numbers(), default="1", show_default=True, help="Their number, or numbers: 1-5.")
+@click.option("--weapons-needed", type=positive, default=2, show_default=True, help="Weapon robots per hostile (m).")
+@click.option("--limit", type=positive, default=600, show_default=True, help="Steps per episode (trial).")
+@click.option("--preset", default="scattered", show_default=True, help="The world's rules: scattered or cohesive.")
+@click.option("--episodes", type=int, help="Fresh episodes.  [default: 10000, with --buildings 1000]")
+@click.option("--confidence", type=float, default=0.99, show_default=True, help="Of all bounds together.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the fresh episodes.")
+@click.option("-o", "--out", type=path, help="The certificate.  [default: POLICY-certificate.json]")
+@click.option("--force", is_flag=True, help="Replace a certificate that is there.")
+@click.option("--verify", type=path, help="Recompute this certificate instead, and say whether it holds.")
+def certify_command(policy: Path | None, verify: Path | None, **options: Any) -> None:
+    """Bound what a policy solves and loses, on fresh episodes; write a certificate.
+
+    The unit is an episode (trial) on one building, or with --buildings an episode on a fresh building each.
+    """
+    from tasklift.studies import certify
+
+    if verify is not None:
+        with progress() as show:
+            says = certify.verify(verify, show)
+        say(f"holds: {says}")
+        return
+    if policy is None:
+        raise click.UsageError("expected a policy, or --verify and a certificate")
+    with progress() as show:
+        says, written = certify.certify(policy, progress=show, **options)
+    say(says)
+    say(f"certificate: {written}")

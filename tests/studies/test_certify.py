@@ -15,8 +15,16 @@ from scipy.stats import binom
 from tasklift.building import Mission, generate
 from tasklift.errors import TaskliftError
 from tasklift.studies.certify import (
-    Bounds, Counts, Ground, Sizes, certify, quantile_bound, runs_needed, share_bounds, verify,
-)  # fmt: skip
+    Bounds,
+    Counts,
+    Ground,
+    Sizes,
+    certify,
+    quantile_bound,
+    runs_needed,
+    share_bounds,
+    verify,
+)
 from tasklift.tasks.policy import Policy
 
 PLACE = generate(9, 11, 3, 6, seed=5)

@@ -122,13 +122,13 @@ class PolicySearch:
         """Search from ``policy``, in as many full generations as the budget allows.
 
         The episodes of a generation are numbered on from the last one's, the same ones for all its candidates. So a
-        search plays ``episodes`` × generations different episodes, each with ``population`` candidates.
+        search plays ``episodes`` × generations different episodes, each with ``population`` candidates. A search that
+        solved nothing returns the policy it was given.
         """
-        self.check(world, policy.task, run)
         if policy.kind != "weight":
             raise TaskliftError(f"policy search: expected a policy of weights, found one of {policy.kind}s")
         task, rng = policy.task, np.random.default_rng([_DRAWS, run.seed, run.stage, run.first_trial])
-        mean = marginals(task, policy.weights)
+        mean, moved = marginals(task, policy.weights), False
         concentration = float(policy.carried.get("concentration", self.concentration))
         parts: list[Outcomes] = []
         full = self.population * self.episodes
@@ -139,10 +139,10 @@ class PolicySearch:
             parts.append(played)
             if len(played) < full:
                 break  # the cap on losses was reached: what is left of the generation is never played
-            self._move(mean, candidates, played)
+            moved |= self._move(mean, candidates, played)
         outcomes = joined(parts)
         told = provenance("policy search", self, policy, run, outcomes)
-        weights = product([_cut(vector, self.cutoff) for vector in mean])
+        weights = product([_cut(vector, self.cutoff) for vector in mean]) if moved else policy.weights
         carried = {name: value for name, value in policy.carried.items() if name != "concentration"}
         return Curve(Policy(task, weights, told, "weight", carried), outcomes)
 
@@ -166,8 +166,8 @@ class PolicySearch:
             parts.append(trials_of.run(task, table, seed=run.seed, max_losses=left.max_losses, **key))
         return joined(parts)
 
-    def _move(self, mean: list[Floats], candidates: list[Floats], played: Outcomes) -> None:
-        """Move each probability vector towards the mean of the best candidates', in place."""
+    def _move(self, mean: list[Floats], candidates: list[Floats], played: Outcomes) -> bool:
+        """Move each probability vector towards the mean of the best candidates', in place; return whether there are."""
         shape = (self.population, self.episodes)
         scores = (
             played.success
@@ -178,7 +178,7 @@ class PolicySearch:
         most = max(1, round(self.elite * self.population))
         best = np.argsort(np.where(solved, -scores.mean(axis=1), np.inf), kind="stable")[: min(most, int(solved.sum()))]
         if not len(best):
-            return
+            return False
         # the better of the best count for more (the weights of Hansen & Ostermeier 2001, CMA-ES)
         share = np.log(len(best) + 0.5) - np.log(np.arange(1, len(best) + 1))
         share /= share.sum()
@@ -186,6 +186,7 @@ class PolicySearch:
         for vector, drawn in zip(mean, candidates, strict=True):
             vector *= 1.0 - rate
             vector += rate * np.tensordot(share, drawn[best], axes=1)
+        return True
 
 
 _DRAWS = 0x5EA2C4  # keeps the candidates' random numbers apart from all trials'

@@ -64,7 +64,7 @@ class Sizes:
             found = generate(self.intersections, self.corridors, self.rooms, doors=doors, seed=seed + attempt)
             if len(hostile_candidates(found)) >= hostiles:
                 return found
-        raise TaskliftError(f"buildings: none of 100 with these sizes has {hostiles} places for hostiles; ask for fewer")
+        raise TaskliftError(f"buildings: none of 100 of these sizes has {hostiles} places for hostiles; ask for fewer")
 
 
 @dataclass(frozen=True, eq=False)

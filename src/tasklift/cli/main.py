@@ -22,6 +22,7 @@ _ELSEWHERE = {
         "map_group",
         "Turn floor plans into buildings; look at them, check, correct, export.",
     ),
+    "certify": ("tasklift.cli.certify", "certify_command", "Bound what a policy solves and loses, on fresh episodes."),
     "drills": (
         "tasklift.cli.experiments",
         "drills",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tasklift.studies.spec_file import run_spec
+from tasklift.studies.learn import run_spec
 
 pytest.importorskip("gymnasium")
 pytest.importorskip("sklearn")

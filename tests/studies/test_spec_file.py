@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import re
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +19,10 @@ from row_digests import RECORDED, digest
 from tasklift.cli.learn import learn_command
 from tasklift.errors import TaskliftError
 from tasklift.files import parse_json
+from tasklift.learning.compare import compare
 from tasklift.studies import own_code
-from tasklift.studies.spec_file import curriculum_of, read_spec, run_spec
+from tasklift.studies.learn import run_spec
+from tasklift.studies.spec_file import curriculum_of, read_spec
 from tasklift.tasks.policy import Policy
 
 pytest.importorskip("gymnasium")
@@ -89,13 +94,73 @@ def test_the_same_spec_gives_the_same_files_and_another_is_kept_out(tmp_path: Pa
     run_spec(spec, tmp_path / "b", seeds=2)
     for name in ("comparison.json", "comparison.txt", "policy.json"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    before = (tmp_path / "a" / "comparison.json").read_bytes()
-    with pytest.raises(TaskliftError, match="holds the results of another spec"):
-        run_spec(spec, tmp_path / "a", seeds=3)
-    assert (tmp_path / "a" / "comparison.json").read_bytes() == before
+    before = files(tmp_path / "a")
+    spec.write_text(spec.read_text().replace("epsilon = 0.1", "epsilon = 0.2"))
+    with pytest.raises(TaskliftError, match=r"holds another experiment: learner.epsilon: 0.1, not 0.2"):
+        run_spec(spec, tmp_path / "a", seeds=2)
+    assert files(tmp_path / "a") == before
     with pytest.raises(TaskliftError, match="is not empty"):
         run_spec(spec, tmp_path, seeds=2)
     assert one.seeds == 2
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in ("comparison.json", "comparison.txt", "policy.json")}
+
+
+def test_more_seeds_are_added_and_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
+    spec, computed = shortened("building.toml", tmp_path), []
+    run_spec(spec, tmp_path / "a", seeds=2)
+    two = files(tmp_path / "a")
+    more = run_spec(spec, tmp_path / "a", seeds=4, progress=lambda done, total, note: computed.append(note))
+    assert sorted(computed) == [f"seed {seed}, arm {arm}" for seed in (2, 3) for arm in ("curriculum", "direct")]
+    run_spec(spec, tmp_path / "b", seeds=4)
+    assert files(tmp_path / "a") == files(tmp_path / "b")
+    run_spec(spec, tmp_path / "a", seeds=2, progress=lambda *_: pytest.fail("computed again"))
+    assert files(tmp_path / "a") == two
+    # how it is judged is no part of the rows
+    spec.write_text(spec.read_text().replace('performance = "steps"', 'performance = "success"\nfirst = 5'))
+    judged = run_spec(spec, tmp_path / "a", seeds=2, progress=lambda *_: pytest.fail("computed again"))
+    assert judged.finding("jumpstart (success, first 5 trials)") is not None
+    assert more.seeds == 4
+    by_hand = compare(curriculum_of(read_spec(spec), tmp_path), seeds=4, performance="steps")
+    assert str(more) == str(by_hand)
+    assert np.array_equal(more.policy.weights, by_hand.policy.weights)
+    assert more.policy.provenance == by_hand.policy.provenance
+    assert more.policy.task == by_hand.policy.task
+
+
+def test_guards_values_and_what_learners_carry_come_back_from_the_store(tmp_path: Path) -> None:
+    spec = shortened("lake-punished-falls.toml", tmp_path)
+    stored = run_spec(spec, tmp_path / "out", seeds=2)
+    document = read_spec(spec)
+    options = {name: document[name] for name in ("performance", "threshold") if name in document}
+    by_hand = compare(curriculum_of(document, tmp_path), seeds=2, **options)
+    assert stored.to_json() == by_hand.to_json()
+    assert stored.guards
+    loaded = Policy.load(tmp_path / "out" / "policy.json")
+    assert loaded.kind == "value"
+    assert np.array_equal(loaded.carried["visits"], by_hand.policy.carried["visits"])
+
+
+def test_killed_at_any_moment_the_same_command_finishes(tmp_path: Path) -> None:
+    spec = tmp_path / "building.toml"
+    spec.write_text((EXAMPLES / "building.toml").read_text())
+    run_spec(spec, tmp_path / "unbroken", seeds=6)
+    line = [sys.executable, "-c", "from tasklift.cli.main import main; main()", "learn", str(spec), "--seeds", "6"]
+    line += ["--out", str(tmp_path / "killed")]
+    for wait in (0.0, 0.6):
+        process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while process.poll() is None and not (tmp_path / "killed" / "experiment.sqlite").exists():
+            time.sleep(0.01)
+        time.sleep(wait)
+        process.kill()
+        process.wait()
+    done = subprocess.run(line, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert files(tmp_path / "killed") == files(tmp_path / "unbroken")
+    names = {file.name for file in (tmp_path / "killed").iterdir()}
+    assert names == {"experiment.sqlite", "comparison.json", "comparison.txt", "policy.json"}
 
 
 def test_a_world_of_ones_own_from_a_python_file(tmp_path: Path) -> None:

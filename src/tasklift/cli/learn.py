@@ -6,11 +6,14 @@ from pathlib import Path
 
 import click
 
+from tasklift.cli.options import folder, path, progress
+from tasklift.cli.terminal import say
+
 
 @click.command("learn")
-@click.argument("spec", type=click.Path(path_type=Path))
+@click.argument("spec", type=path)
 @click.option("--seeds", type=click.IntRange(min=2), help="In place of the spec's number of seeds.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the comparison and the learned policy.")
+@folder(help="Folder for the comparison and the learned policy; the same command resumes there.")
 @click.option(
     "--allow-imports",
     is_flag=True,
@@ -21,20 +24,10 @@ def learn_command(spec: Path, seeds: int | None, out: Path | None, allow_imports
 
     A module that lies beside the spec, and that the spec names, is code: it runs.
     """
-    from rich.console import Console
-    from rich.progress import Progress
+    from tasklift.studies.learn import run_spec
 
-    from tasklift.studies.spec_file import run_spec
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("seeds", total=None)
-        comparison = run_spec(
-            spec,
-            out,
-            seeds,
-            progress=lambda done, of: progress.update(bar, completed=done, total=of),
-            allow_imports=allow_imports,
-        )
-    click.echo(str(comparison))
+    with progress() as show:
+        comparison = run_spec(spec, out, seeds, allow_imports=allow_imports, progress=show)
+    say(comparison)
     if out is not None:
-        click.echo(f"comparison and policy: {out}")
+        say(f"comparison and policy: {out}")

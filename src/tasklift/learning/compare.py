@@ -8,7 +8,7 @@ the last task itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tasklift import stats
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
-from tasklift.learning.curriculum import Curriculum, CurriculumRun
+from tasklift.learning.curriculum import Curriculum, CurriculumRun, Records
 from tasklift.learning.ledger import Ledger
 from tasklift.learning.stage import Stage
 from tasklift.learning.worlds import Outcomes
@@ -187,36 +187,87 @@ def compare(
     whole_number(first, "compare, first", least=1)
     whole_number(last, "compare, last", least=1)
     curriculum.check()
-    target = replace(curriculum.stages[-1], prior=(), trust=None, initial=None, guard=None, max_losses=None)
     runs: list[CurriculumRun] = []
-    plain: list[Outcomes] = []
-    longer: list[Outcomes] = []
+    direct: list[Outcomes] = []
     for number in range(seed, seed + seeds):
-        run = curriculum.run(number)
-        runs.append(run)
-        spent = [e for e in run.ledger.entries if e.stage != target.name]
-        budget = _with_source(target, sum(e.trials for e in spent), sum(e.steps for e in spent))
-        direct = Curriculum([budget], block=curriculum.block).run(number).outcomes[target.name]
-        longer.append(direct)
-        plain.append(_head(direct, target.trials, target.steps))
+        runs.append(curriculum.run(number))
+        direct.append(learn_directly(curriculum, runs[-1], number))
         if progress is not None:
             progress(len(runs), seeds)
-    lifted = [run.outcomes[target.name] for run in runs]
-    if any(not len(outcomes) for outcomes in lifted):
+    options: dict[str, Any] = {"performance": performance, "first": first, "last": last, "threshold": threshold}
+    return judged(curriculum.stages[-1], runs, direct, runs[0].policy, **options)
+
+
+def learn_directly(curriculum: Curriculum, run: Records, seed: int) -> Outcomes:
+    """Learn a curriculum's last task from scratch, with what ``run`` spent on earlier stages added to the budget.
+
+    Parameters
+    ----------
+    curriculum
+        Its last stage is learned, without prior, trust, guard or cap.
+    run
+        What the curriculum came to with this seed.
+    seed
+        Of all random numbers.
+
+    Raises
+    ------
+    TaskliftError
+        If the last stage has its learner's budget.
+    """
+    last = curriculum.stages[-1]
+    target = replace(last, prior=(), trust=None, initial=None, guard=None, max_losses=None)
+    spent = [entry for entry in run.ledger.entries if entry.stage != last.name]
+    longer = _with_source(target, sum(entry.trials for entry in spent), sum(entry.steps for entry in spent))
+    return Curriculum([longer], block=curriculum.block).run(seed).outcomes[last.name]
+
+
+def judged(
+    target: Stage,
+    runs: Sequence[Records],
+    direct: Sequence[Outcomes],
+    policy: Policy,
+    *,
+    performance: Performance | None = None,
+    first: int = 10,
+    last: int = 20,
+    threshold: float | None = None,
+) -> Comparison:
+    """Judge runs of a curriculum against direct learning, seed by seed: what :func:`compare` does after the training.
+
+    Parameters
+    ----------
+    target
+        The curriculum's last stage.
+    runs, direct
+        Of the same seeds, in the same order; ``direct`` as :func:`learn_directly` gives it.
+    policy
+        What the first seed learned.
+    performance, first, last, threshold
+        As in :func:`compare`.
+
+    Raises
+    ------
+    TaskliftError
+        If a cap stopped a run before its last stage, or the world has no returns to judge by.
+    """
+    lifted = [run.outcomes[target.name] for run in runs if len(run.outcomes.get(target.name, ()))]
+    if len(lifted) < len(runs):
         raise TaskliftError("compare: a cap stopped the curriculum before its last stage began; raise the cap")
+    plain = [_head(outcomes, target.trials, target.steps) for outcomes in direct]
     kind: Performance = performance or ("return" if hasattr(lifted[0], "returns") else "steps")
     return Comparison(
-        seeds,
-        tuple(_findings(runs, lifted, plain, longer, target.name, kind, first, last)),
+        len(runs),
+        tuple(_findings(runs, lifted, plain, direct, target.name, kind, first, last)),
         _mean_ledger([run.ledger for run in runs]),
         _guard_counts(runs),
-        runs[0].policy,
+        policy,
         None if threshold is None else _until(runs, lifted, plain, kind, first, threshold),
     )
 
 
 def _until(
-    runs: list[CurriculumRun],
+    runs: Sequence[Records],
     lifted: list[Outcomes],
     plain: list[Outcomes],
     kind: Performance,
@@ -273,10 +324,10 @@ def _curve(outcomes: Outcomes, kind: Performance) -> NDArray[np.float64]:
 
 
 def _findings(
-    runs: list[CurriculumRun],
+    runs: Sequence[Records],
     lifted: list[Outcomes],
     plain: list[Outcomes],
-    longer: list[Outcomes],
+    longer: Sequence[Outcomes],
     target: str,
     kind: Performance,
     first: int,
@@ -284,10 +335,10 @@ def _findings(
 ) -> list[Finding]:
     better: stats.Direction = "less" if kind == "steps" else "greater"
 
-    def curves(arm: list[Outcomes], part: slice) -> NDArray[np.float64]:
+    def curves(arm: Sequence[Outcomes], part: slice) -> NDArray[np.float64]:
         return np.array([_curve(outcomes, kind)[part].mean() for outcomes in arm])
 
-    def losses(arm: list[Outcomes]) -> NDArray[np.float64]:
+    def losses(arm: Sequence[Outcomes]) -> NDArray[np.float64]:
         return np.array([float(outcomes.losses.sum()) for outcomes in arm])
 
     early, late = slice(None, first), slice(-last, None)
@@ -322,7 +373,7 @@ def _mean_ledger(ledgers: list[Ledger]) -> dict[str, float]:
     return {name: float(np.mean([ledger.by_stage().get(name, 0) for ledger in ledgers])) for name in names}
 
 
-def _guard_counts(runs: list[CurriculumRun]) -> dict[str, dict[str, int]]:
+def _guard_counts(runs: Sequence[Records]) -> dict[str, dict[str, int]]:
     counts: dict[str, dict[str, int]] = {}
     for run in runs:
         for stage, report in run.guards.items():

@@ -24,16 +24,21 @@ EARLIER_STAGES = 100
 
 
 @dataclass(frozen=True)
-class CurriculumRun:
-    """What a curriculum came to.
+class Records:
+    """What a curriculum came to, its policies aside.
 
-    ``policy`` is the last one learned; ``best`` the rollback policy of the last stage that ran; ``outcomes``
-    are by stage (the transferred learner's; a control's are under ``"<stage> (control)"``); ``guards`` by
-    stage; ``stopped`` names the stage whose cap, or the curriculum's, was reached last.
+    Attributes
+    ----------
+    outcomes
+        By stage: the transferred learner's; a control's are under ``"<stage> (control)"``.
+    ledger
+        Trials, steps and losses by stage and learner.
+    guards
+        What each stage's guard found.
+    stopped
+        The stage whose cap, or the curriculum's, was reached last.
     """
 
-    policy: Policy
-    best: Policy
     outcomes: dict[str, Outcomes]
     ledger: Ledger
     guards: dict[str, GuardReport]
@@ -43,6 +48,14 @@ class CurriculumRun:
         """Return the outcomes of the learner whose policy counts: the control's, if the guard fell back to it."""
         fell_back = stage in self.guards and self.guards[stage].fell_back
         return self.outcomes[f"{stage} (control)" if fell_back else stage]
+
+
+@dataclass(frozen=True)
+class CurriculumRun(Records):
+    """What a curriculum came to: its records, the policy learned last, and the rollback policy of that stage."""
+
+    policy: Policy
+    best: Policy
 
 
 @dataclass(frozen=True)
@@ -233,12 +246,12 @@ class Curriculum:
             else (before.outcomes, before.ledger.entries, before.guards, before.stopped)
         )
         return CurriculumRun(
-            run.policy,
-            run.best,
             {**outcomes, **run.outcomes()},
             Ledger((*entries, *run.entries())),
             {**guards, name: run.report} if run.stage.guard is not None else guards,
             name if run.stopped else stopped,
+            run.policy,
+            run.best,
         )
 
     def _identity(self, number: int, seed: int, initial: Policy | None) -> Hashable | None:

@@ -1,4 +1,4 @@
-"""A curriculum in one small TOML file: environment, task, learner, stages; run, compared, judged.
+"""A curriculum in one small TOML file: environment, task, learner, stages.
 
 The whole language, by example (``docs/tutorial.md`` explains it)::
 
@@ -34,9 +34,8 @@ The whole language, by example (``docs/tutorial.md`` explains it)::
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -45,8 +44,7 @@ from tasklift.building import Building, Mission, Reading, generate
 from tasklift.checks import check_fields
 from tasklift.envs.gymnasium import Event, Factored, make_environment
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, parse_json, parse_toml, read_text, write_atomically
-from tasklift.learning.compare import Comparison, compare
+from tasklift.files import parse_json, parse_toml, read_text
 from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.guard import Guard
 from tasklift.learning.learner import Learner
@@ -95,7 +93,7 @@ def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:
 def curriculum_of(
     document: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_imports: bool = False
 ) -> Curriculum:
-    """Return the curriculum that a spec describes.
+    """Return the curriculum that a spec describes; :func:`tasklift.studies.learn.run_spec` runs it.
 
     Parameters
     ----------
@@ -144,71 +142,6 @@ def curriculum_of(
     with code.running("stages"):
         curriculum.check()
     return curriculum
-
-
-def run_spec(
-    path: str | os.PathLike[str],
-    out: str | os.PathLike[str] | None = None,
-    seeds: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    *,
-    allow_imports: bool = False,
-) -> Comparison:
-    """Run a spec file: the curriculum against direct learning, over seeds.
-
-    Parameters
-    ----------
-    path
-        The spec.
-    out
-        A folder for ``comparison.json``, ``comparison.txt`` and ``policy.json`` (the first seed's); it may be missing,
-        empty, or hold the results of the same spec.
-    seeds
-        In place of the spec's.
-    progress
-        Called after each seed with the number of seeds done, and of all.
-    allow_imports
-        As in :func:`curriculum_of`.
-
-    Raises
-    ------
-    TaskliftError
-        For whatever is wrong with the spec or the folder, before anything is trained; and for what a module beside
-        the spec raises in training, with its file and line.
-    """
-    document, beside = read_spec(path), Path(path).parent
-    try:
-        curriculum = curriculum_of(document, beside, allow_imports=allow_imports)
-        chosen = seeds if seeds is not None else document.get("seeds", 20)
-        identity = hashlib.sha256(canonical_json([document, chosen]).encode()).hexdigest()
-        folder = None if out is None else _prepared(Path(out), identity)
-        options = {n: document[n] for n in ("performance", "first", "last", "threshold") if n in document}
-        with OwnCode(beside).running("training"):
-            comparison = compare(curriculum, seeds=chosen, progress=progress, **options)
-    except TaskliftError as error:
-        raise TaskliftError(f"{path}: {error}") from error
-    if folder is not None:
-        told = {"format": "tasklift-comparison", "version": 1, "spec": identity, "name": document["name"]}
-        comparison.policy.save(folder / "policy.json")
-        write_atomically(folder / "comparison.txt", f"{comparison}\n")
-        write_atomically(folder / "comparison.json", canonical_json(told | comparison.to_json()) + "\n")
-    return comparison
-
-
-def _prepared(folder: Path, identity: str) -> Path:
-    """Return the output folder, or refuse one that holds something else."""
-    held = folder / "comparison.json"
-    if held.exists():
-        found = parse_json(read_text(held), str(held))
-        if not isinstance(found, dict) or found.get("spec") != identity:
-            raise TaskliftError(f"{folder}: holds the results of another spec; choose another folder")
-    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise TaskliftError(f"{folder}: is not empty; choose another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TaskliftError(f"{folder}: cannot be made ({error.strerror})") from error
-    return folder
 
 
 # -- the parts -------------------------------------------------------------------------------------------------

@@ -309,7 +309,10 @@ def _read_spec(path: Path) -> Any:
     if not beside.exists():
         generate(intersections=4, corridors=4, rooms=2, seed=1).save(beside)
     document = read_spec(path)
-    return curriculum_of(document, path.parent)
+    try:
+        return curriculum_of(document, path.parent)
+    except TaskliftError as error:  # as run_spec says it
+        raise TaskliftError(f"{path}: {error}") from error
 
 
 def _replays() -> dict[str, bytes]:

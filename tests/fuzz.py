@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -287,7 +288,8 @@ def _use_building(building: Any, path: Path) -> None:
 
 def _specs() -> dict[str, bytes]:
     examples = Path(__file__).parent.parent / "examples"
-    found = {name: (examples / name).read_bytes() for name in ("building.toml", "drill.toml")}
+    large, small = b"intersections = 21, corridors = 25, rooms = 6", b"intersections = 4, corridors = 4, rooms = 2"
+    found = {name: (examples / name).read_bytes().replace(large, small) for name in ("building.toml", "drill.toml")}
     spec = {
         "name": "j", "performance": "steps", "seeds": 4,
         "environment": {"building": "b.json", "team": "2+2", "hostiles": 1, "limit": 20, "reading": {"patience": 3}},
@@ -313,6 +315,18 @@ def _read_spec(path: Path) -> Any:
         return curriculum_of(document, path.parent)
     except TaskliftError as error:  # as run_spec says it
         raise TaskliftError(f"{path}: {error}") from error
+
+
+def _use_spec(curriculum: Any, path: Path) -> None:
+    small = all(
+        (stage.trials or 0) + (stage.steps or 0) + getattr(stage.learner, "repeats", 1) <= 20
+        and stage.world.limit <= 100
+        and sum(stage.world.team.values()) <= 10
+        for stage in curriculum.stages
+    )
+    if small:
+        with suppress(TaskliftError):  # a world that is not what the task assumes is found when it is met
+            curriculum.run(0)
 
 
 def _replays() -> dict[str, bytes]:
@@ -549,7 +563,7 @@ def _use_resumed(digest: str, path: Path) -> None:
 READERS = {
     "policy": Reader(_policies, _read_policy, _use_policy, _without_checksum),
     "building": Reader(_buildings, _read_building, _use_building),
-    "spec": Reader(_specs, _read_spec),
+    "spec": Reader(_specs, _read_spec, _use_spec),
     "replay": Reader(_replays, _read_replay, _use_replay),
     "store": Reader(_stores, _read_store, _use_store, mutate=_damaged_store),
     "resume": Reader(_stores, _resume_store, _use_resumed, mutate=_damaged_store),

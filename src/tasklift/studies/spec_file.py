@@ -41,7 +41,7 @@ from pathlib import Path
 from typing import Any
 
 from tasklift.building import Building, Mission, Reading, generate
-from tasklift.checks import check_fields
+from tasklift.checks import check_fields, one_of
 from tasklift.envs.gymnasium import Event, Factored, make_environment
 from tasklift.errors import TaskliftError
 from tasklift.files import parse_json, parse_toml, read_text
@@ -208,8 +208,9 @@ def _learner(data: Mapping[str, Any], repeats: int | None, code: OwnCode, where:
 
 
 def _prior(data: Any, where: str) -> Prior:
-    if not isinstance(data, dict) or str(data.get("operation")) not in _PRIORS:
-        raise TaskliftError(f"{where}: a prior has an operation: {', '.join(_PRIORS)}; found {data!r}")
+    number = {"factor?": _NUMBER, "value?": _NUMBER}
+    check_fields(data, f"{where}, prior", {"operation": str, "output?": str, "values?": list, "when?": dict} | number)
+    one_of(data["operation"], _PRIORS, f"{where}, prior, operation")
     rest = {name: value for name, value in data.items() if name != "operation"}
     try:
         return _PRIORS[data["operation"]](**rest)  # type: ignore[operator]

@@ -294,7 +294,7 @@ def test_the_switch_of_an_environment_is_a_simpler_task(name, options, switch, t
     plain, full = (Factored(gymnasium.make(name, **options, **more), task, loss=loss).model() for more in ({}, switch))
     stages = [Stage("simple", task, plain, Q, trials=trials), Stage("full", task, full, Q, trials=trials)]
     told = compare(Curriculum(stages), seeds=seeds)
-    assert told.finding("jumpstart (return, first 10 trials)").told == "helps"
-    assert told.finding("losses, target only").told == "helps"
-    assert told.finding("losses, all stages, equal total budget").told == "helps"
+    assert told.finding("jumpstart (return, first 10 trials)").verdict == "helps"
+    assert told.finding("losses, target only").verdict == "helps"
+    assert told.finding("losses, all stages, equal total budget").verdict == "helps"
     assert told.ledger["simple"] > 0

@@ -497,12 +497,12 @@ def test_windows_of_steps() -> None:
 def test_a_comparison_says_what_paid() -> None:
     comparison = compare(corridor_curriculum(), seeds=20, first=5, threshold=8)
     losses = comparison.finding("losses, all stages, equal total budget")
-    assert losses.told == "helps"
+    assert losses.verdict == "helps"
     assert losses.curriculum < losses.direct
-    assert comparison.finding("jumpstart (steps, first 5 trials)").told == "helps"
+    assert comparison.finding("jumpstart (steps, first 5 trials)").verdict == "helps"
     assert comparison.ledger["open"] == 0
     assert comparison.until is not None
-    assert comparison.until.curriculum < comparison.until.direct
+    assert comparison.until.curriculum.estimate < comparison.until.direct.estimate
     assert comparison.until.curriculum_reached == 1
     assert "median losses until 8 is reached" in str(comparison)
     assert "20 seeds" in str(comparison)
@@ -514,7 +514,7 @@ def test_a_curriculum_without_transfer_is_no_help() -> None:
     # one stage only: both arms are the same learner, seed by seed
     model = random_model(8)
     comparison = compare(Curriculum([Stage("only", model.task, model, ValueLearning(), trials=30)]), seeds=5)
-    assert {f.told for f in comparison.findings} == {"can't tell"}
+    assert {f.verdict for f in comparison.findings} == {"can't tell"}
     assert all(f.curriculum == f.direct for f in comparison.findings)
 
 

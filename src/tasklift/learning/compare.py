@@ -25,31 +25,39 @@ from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.policy import Policy
 
 Performance = Literal["return", "steps", "success"]
-Told = Literal["helps", "hurts", "can't tell"]
+_WORDS = {"holds": "helps", "does not hold": "hurts", "undecided": "can't tell"}
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One comparison: the mean paired difference (curriculum − direct) over seeds, and what it says."""
+    """One comparison: means over seeds, and the test of their paired difference (curriculum − direct).
+
+    The p-value is for all findings of a :class:`Comparison` asked together (Holm).
+    """
 
     name: str
     curriculum: float
     direct: float
-    difference: stats.Interval
-    told: Told
+    difference: stats.Comparison
+
+    @property
+    def verdict(self) -> str:
+        """Whether transfer ``helps`` or ``hurts``; or ``can't tell``, or ``too few seeds (3 of at least 8)``."""
+        return _WORDS.get(self.difference.verdict, self.difference.says)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the finding as JSON data."""
-        low, high = float(self.difference.low), float(self.difference.high)
+        """Return the finding as JSON data; what is not bounded is null."""
+        interval = self.difference.interval
         return {
             "name": self.name,
             "curriculum": self.curriculum,
             "direct": self.direct,
-            "difference": float(self.difference.estimate),
-            "low": low,
-            "high": high,
-            "confidence": self.difference.confidence,
-            "verdict": self.told,
+            "difference": float(interval.estimate),
+            "low": _finite(interval.low),
+            "high": _finite(interval.high),
+            "confidence": interval.confidence,
+            "p": self.difference.p,
+            "verdict": self.verdict,
         }
 
 
@@ -57,20 +65,25 @@ class Finding:
 class Until:
     """What was lost until a threshold of performance was reached: medians over seeds, earlier stages included.
 
-    A seed that never gets there counts as having lost more than it did (Kaplan-Meier); the median is infinite if
-    half of the seeds do not.
+    A seed that never gets there counts as having lost more than it did (Kaplan-Meier); a median is infinite if half
+    of the seeds do not.
     """
 
     threshold: float
-    curriculum: float
-    direct: float
+    curriculum: stats.Interval
+    direct: stats.Interval
     curriculum_reached: float  # share of seeds
     direct_reached: float
 
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON data; a median that is not reached is null."""
+        found = asdict(self)
+        return found | {arm: _finite(found[arm]["estimate"]) for arm in ("curriculum", "direct")}
+
     def __str__(self) -> str:
         arms = ((self.curriculum, self.curriculum_reached), (self.direct, self.direct_reached))
-        told = [f"{median:g} (reached by {share:.0%})" for median, share in arms]
-        return f"median losses until {self.threshold:g} is reached: {told[0]} against {told[1]}"
+        found = [f"{median} (reached by {share:.0%})" for median, share in arms]
+        return f"median losses until {self.threshold:g} is reached: {found[0]} against {found[1]}"
 
 
 @dataclass(frozen=True)
@@ -103,16 +116,18 @@ class Comparison:
             "findings": [f.to_json() for f in self.findings],
             "losses_by_stage": self.ledger,
             "guards": self.guards,
-            "until": None if self.until is None else {n: _finite(v) for n, v in asdict(self.until).items()},
+            "until": None if self.until is None else self.until.to_json(),
         }
 
     def __str__(self) -> str:
-        lines = [f"curriculum against direct learning, {self.seeds} seeds, 95 % bootstrap intervals"]
+        lines = [
+            f"curriculum against direct learning, {self.seeds} seeds; 95 % intervals, p for all lines together (Holm)"
+        ]
         width = max(len(f.name) for f in self.findings)
         for f in self.findings:
             lines.append(
                 f"  {f.name:<{width}}  {f.curriculum:>10.2f} against {f.direct:>10.2f}   "
-                f"difference {f.difference}   transfer {f.told}"
+                f"difference {f.difference.interval}, p {f.difference.p:.2g}   {_transfer(f.verdict)}"
             )
         lines.append("  losses by stage: " + ", ".join(f"{s} {n:.1f}" for s, n in self.ledger.items()))
         if self.until is not None:
@@ -278,8 +293,13 @@ def _until(
 
     def times(arm: list[Outcomes], before: list[int]) -> stats.Times:
         each = [
-            stats.losses_until_threshold(
-                o.losses[None], _curve(o, kind)[None], threshold, window=min(window, len(o)), source=b, better=better
+            stats.time_to_threshold(
+                _curve(o, kind)[None],
+                threshold,
+                window=min(window, len(o)),
+                cost=o.losses[None],
+                source=b,
+                better=better,
             )
             for o, b in zip(arm, before, strict=True)
         ]
@@ -293,6 +313,10 @@ def _until(
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def _transfer(verdict: str) -> str:
+    return verdict if verdict.startswith("too few") else f"transfer {verdict}"
 
 
 def _with_source(target: Stage, trials: int, steps: int) -> Stage:
@@ -345,27 +369,23 @@ def _findings(
     everything = np.array([float(run.ledger.total) for run in runs])
     on_target = np.array([float(run.ledger.by_stage()[target]) for run in runs])
     ended = [run.at_the_end(target) for run in runs]
-    name = {"return": "return", "steps": "steps", "success": "success"}[kind]
+    asked: list[tuple[str, NDArray[np.float64], NDArray[np.float64], stats.Direction]] = [
+        (f"jumpstart ({kind}, first {first} trials)", curves(lifted, early), curves(plain, early), better),
+        (f"late {kind} (last {last} trials)", curves(ended, late), curves(plain, late), better),
+        (f"late {kind}, equal total budget", curves(ended, late), curves(longer, late), better),
+        ("losses, target only", on_target, losses(plain), "less"),
+        ("losses per 1,000 steps, target only", _rates(lifted), _rates(plain), "less"),
+        ("losses, all stages, equal total budget", everything, losses(longer), "less"),
+    ]
+    found = stats.after_holm([stats.compare(ours, theirs, better=side) for _, ours, theirs, side in asked])
     return [
-        _finding(f"jumpstart ({name}, first {first} trials)", curves(lifted, early), curves(plain, early), better),
-        _finding(f"late {name} (last {last} trials)", curves(ended, late), curves(plain, late), better),
-        _finding(f"late {name}, equal total budget", curves(ended, late), curves(longer, late), better),
-        _finding("losses, target only", on_target, losses(plain), "less"),
-        _finding("losses per 1,000 steps, target only", _rates(lifted), _rates(plain), "less"),
-        _finding("losses, all stages, equal total budget", everything, losses(longer), "less"),
+        Finding(name, float(ours.mean()), float(theirs.mean()), difference)
+        for (name, ours, theirs, _), difference in zip(asked, found, strict=True)
     ]
 
 
 def _rates(arm: list[Outcomes]) -> NDArray[np.float64]:
     return np.array([1000.0 * outcomes.losses.sum() / max(1, outcomes.steps.sum()) for outcomes in arm])
-
-
-def _finding(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64], better: stats.Direction) -> Finding:
-    interval = stats.paired_difference(ours, theirs, method="percentile")
-    held = stats.verdict(interval, better)
-    same = bool((ours == theirs).all())
-    told: Told = "helps" if held == "holds" else "hurts" if held == "does not hold" and not same else "can't tell"
-    return Finding(name, float(ours.mean()), float(theirs.mean()), interval, told)
 
 
 def _mean_ledger(ledgers: list[Ledger]) -> dict[str, float]:

@@ -1,0 +1,162 @@
+"""How often verdicts are wrong, intervals miss, and true differences are found: by simulation.
+
+``python tests/null_simulation.py [DRAWS]`` prints the tables of docs/quality.md; ``tests/test_stats.py`` asks the same
+with fewer draws.
+
+The mean of the values is zero: there is nothing to find. There are two ways for that to be so. Both arms do the same,
+and a value is the difference of two draws from one distribution; or they do not, and the values are skewed about
+zero.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift import stats
+
+Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
+
+
+def inflated(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+    """Return losses of which seven in ten are zero; their mean is 0.3."""
+    return rng.exponential(size=n) * (rng.random(n) < 0.3)
+
+
+def _two(draw: Draw) -> Draw:
+    return lambda rng, n: draw(rng, n) - draw(rng, n)
+
+
+NULLS: dict[str, Draw] = {
+    "normal": lambda rng, n: rng.normal(size=n),
+    "two exponentials": _two(lambda rng, n: rng.exponential(size=n)),
+    "two lognormals": _two(lambda rng, n: rng.lognormal(size=n)),
+    "two zero-inflated": _two(inflated),
+    "exponential": lambda rng, n: rng.exponential(size=n) - 1,
+    "lognormal": lambda rng, n: rng.lognormal(size=n) - np.exp(0.5),
+    "zero-inflated": lambda rng, n: inflated(rng, n) - 0.3,
+}
+#: Pairs of positive arms, and the ratio of their means.
+RATIOS: dict[str, tuple[Draw, Draw, float]] = {
+    "lognormal / lognormal": (lambda rng, n: 4 * rng.lognormal(size=n), lambda rng, n: rng.lognormal(size=n), 4.0),
+    "exponential / zero-inflated": (lambda rng, n: 3 * rng.exponential(size=n), inflated, 10.0),
+    "zero-inflated / exponential": (inflated, lambda rng, n: rng.exponential(size=n), 0.3),
+    "Poisson / Poisson": (
+        lambda rng, n: rng.poisson(20, size=n) * 1.0, lambda rng, n: rng.poisson(1, size=n) * 1.0, 20.0,
+    ),
+}  # fmt: skip
+#: Seeds, and the maps that they are divided over.
+DESIGNS = ((6, 1), (8, 1), (10, 1), (30, 1), (30, 6))
+
+
+def strata(n: int, maps: int) -> NDArray[np.int64] | None:
+    """Return each seed's map; None for one map."""
+    return None if maps == 1 else np.repeat(np.arange(maps), n // maps)
+
+
+def _effects(n: int, maps: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    effects = rng.normal(scale=2.0, size=maps)
+    return np.repeat(effects - effects.mean(), n // maps)
+
+
+def errors(draw: Draw, n: int, maps: int = 1, *, draws: int, resamples: int, shift: float = 0.0) -> tuple[float, float]:
+    """Return the share of samples with a verdict, and of the intervals that are shown those that miss zero.
+
+    Maps differ from one another by twice the standard deviation of a normal seed; their mean effect is ``shift``.
+    """
+    rng = np.random.default_rng((n, maps))
+    found = shown = missed = 0
+    for number in range(draws):
+        values = draw(rng, n) + _effects(n, maps, rng) + shift
+        test = stats.PairedTest(values, np.ones(n), strata(n, maps), number % 10, resamples)
+        verdict = 2 * min(test.sides(0.0)) <= stats.LEVEL
+        found += verdict
+        shown += test.shown
+        missed += verdict and test.shown
+    return found / draws, missed / max(shown, 1)
+
+
+def ratio_errors(arms: tuple[Draw, Draw, float], n: int, *, draws: int, resamples: int) -> tuple[float, float]:
+    """Return how often a ratio's interval misses the truth, of those shown; and the share shown."""
+    rng = np.random.default_rng(n)
+    above, below, truth = arms
+    shown = missed = 0
+    for number in range(draws):
+        a, b = above(rng, n), below(rng, n)
+        if min(np.count_nonzero(a), np.count_nonzero(b)) >= stats.seeds_needed():
+            shown += 1
+            missed += 2 * min(stats.PairedTest(a, b, None, number % 10, resamples).sides(truth)) <= stats.LEVEL
+    return missed / max(shown, 1), shown / draws
+
+
+def median_errors(n: int, *, draws: int) -> float:
+    """Return how often the interval of a median time misses it; exponential times, half of them censored."""
+    rng = np.random.default_rng(n)
+    missed = 0
+    for _ in range(draws):
+        time, end = rng.exponential(size=n), rng.exponential(scale=1.5, size=n)
+        found = stats.median_time(stats.Times(np.minimum(time, end), time <= end))
+        missed += not found.low <= np.log(2) <= found.high
+    return missed / draws
+
+
+def band_errors(draw: Draw, n: int, maps: int, *, draws: int, resamples: int) -> float:
+    """Return how often a band misses zero at a trial; the trials of a curve are independent here."""
+    rng = np.random.default_rng((n, maps))
+    missed = shown = 0
+    for number in range(draws):
+        curves = np.stack([draw(rng, n) + _effects(n, maps, rng) for _ in range(50)], axis=1)
+        band = stats.mean_band(curves, strata=strata(n, maps), seed=number % 10, resamples=resamples)
+        known = np.isfinite(band.low) & np.isfinite(band.high)
+        shown += known.sum()
+        missed += (known & ((band.low > 0) | (band.high < 0))).sum()
+    return missed / max(shown, 1)
+
+
+def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    print(f"\n{title}\n")
+    for row in [columns, ["---"] * len(columns), *rows]:
+        print("| " + " | ".join(row) + " |", flush=True)
+
+
+def main(draws: int, resamples: int = 999) -> None:
+    """Print all tables, in percent."""
+    names = [f"{n}" if maps == 1 else f"{maps} × {n // maps}" for n, maps in DESIGNS]
+
+    def percent(share: float) -> str:
+        return f"{100 * share:.1f}"
+
+    found = {
+        name: [errors(draw, n, maps, draws=draws, resamples=resamples) for n, maps in DESIGNS]
+        for name, draw in NULLS.items()
+    }
+    _table("False verdicts (%)", ["values", *names], [[k, *(percent(v) for v, _ in row)] for k, row in found.items()])
+    missed = [[name, *(percent(miss) for _, miss in row)] for name, row in found.items()]
+    _table("Intervals that miss (%)", ["values", *names], missed)
+    power = [
+        [f"{shift:g}", *(
+            percent(errors(NULLS["normal"], n, maps, draws=draws // 4, resamples=resamples, shift=shift)[0])
+            for n, maps in DESIGNS
+        )]
+        for shift in (0.5, 1.0, 1.5, 2.0, 4.0)
+    ]  # fmt: skip
+    _table("Power (%): true differences in standard deviations, normal", ["difference", *names], power)
+    rows = []
+    for name, arms in RATIOS.items():
+        cells = [ratio_errors(arms, n, draws=draws // 2, resamples=resamples) for n in (6, 8, 10, 30)]
+        rows.append([name, *(percent(missed) for missed, _ in cells)])
+    _table("Ratios: intervals that miss (%)", ["values", "6", "8", "10", "30"], rows)
+    medians = [[percent(median_errors(n, draws=draws * 4)) for n in (6, 8, 10, 30)]]
+    _table("Median times: intervals that miss (%)", ["6", "8", "10", "30"], medians)
+    bands = [
+        [name, *(percent(band_errors(draw, n, maps, draws=draws // 20, resamples=resamples)) for n, maps in DESIGNS)]
+        for name, draw in NULLS.items()
+    ]
+    _table("Bands of curves: trials missed (%)", ["values", *names], bands)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 2000)

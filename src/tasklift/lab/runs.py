@@ -113,7 +113,7 @@ def compare(
     -------
     list of Table
         The settings that differ (two experiments only), and paired differences, second minus first, of every
-        summary: mean, 95 % interval, p after Holm over all rows.
+        summary: mean, 95 % interval, p after Holm over all rows, and whether they differ by it.
 
     Raises
     ------
@@ -133,21 +133,25 @@ def compare(
     if not shared:
         asked = f" for {axis} {values[0]} and {values[1]}" if between else ""
         raise TaskliftError(f"{first}, {other}: no cells in common{asked}; `tasklift runs show` lists what there is")
-    rows, p = [], []
+    rows, found = [], []
     for group in sorted({tuple(cell[name] for name in by) for cell in shared}):
         cells = [cell for cell in shared if tuple(cell[name] for name in by) == group]
         strata = [", ".join(cell[name] for name in over[:-1]) for cell in cells]
         for name in sorted(set.intersection(*(set(left[cell]) & set(right[cell]) for cell in cells))):
             x, y = (np.array([side[cell][name] for cell in cells]) for side in (left, right))
-            found = stats.paired_difference(y, x, strata=strata, seed=seed)
-            p.append(stats.sign_flip_test(y - x, seed=seed))
-            rows.append([*group, name, float(x.mean()), float(y.mean()), str(found), len(cells)])
-    rows = [[*row, float(q)] for row, q in zip(rows, stats.holm(p) if p else [], strict=True)]
-    headers = [*by, "summary", *(values if between else ("first", "second")), "difference [95 %]", "pairs", "p (Holm)"]
+            found.append(stats.compare(y, x, strata=strata, seed=seed))
+            rows.append([*group, name, float(x.mean()), float(y.mean()), str(found[-1].interval), len(cells)])
+    rows = [[*row, one.p, _differs(one)] for row, one in zip(rows, stats.after_holm(found), strict=True)]
+    means = values if between else ("first", "second")
+    headers = [*by, "summary", *means, "difference [95 %]", "pairs", "p (Holm)", "verdict"]
     tables = [Table("Paired differences, second minus first", headers, rows)]
     if second is not None:
         tables.insert(0, Table("Settings that differ", ["first, not second"], [[line] for line in changed]))
     return tables
+
+
+def _differs(found: stats.Comparison) -> str:
+    return "differs" if found.verdict in ("holds", "does not hold") else found.says
 
 
 def export(

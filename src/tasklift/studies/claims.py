@@ -165,7 +165,7 @@ def map_intervals(coverage: Coverage, values: Floats, confidence: float) -> dict
     spread = float(np.sqrt(((values - means[place]) ** 2).sum() / freedom)) if freedom else np.inf
     reach = float(t.ppf(1 - (1 - confidence) / (2 * len(names)), freedom)) if freedom else 1.0
     return {
-        str(name): stats.Interval(float(m), float(m - reach * e), float(m + reach * e), confidence, "t", int(n), 0)
+        str(name): stats.Interval(float(m), float(m - reach * e), float(m + reach * e), confidence, int(n))
         for name, m, e, n in zip(names, means, spread / np.sqrt(sizes), sizes, strict=True)
     }
 

@@ -67,12 +67,12 @@ def assert_same_state(mission, lane, oracle):
         assert (int(mine["pair_row"]), int(mine["out"])) == theirs.used
         about = None if mine["alert"] < 0 else int(mine["alert"])
         assert (int(mine["dl"]), about) == (theirs.danger, theirs.about)
-        assert int(mine["since"]) == theirs.waited
+        assert count["tick"] + 1 - int(mine["decided"]) == theirs.waited
         known = {e for e in range(building.n_edges) if int(lane.maps[theirs.number, e // 64]) >> (e % 64) & 1}
         assert known == theirs.map
     teams = {
         frozenset(np.flatnonzero((lane.robots["team"] == t) & (lane.robots["alive"] == 1)).tolist())
-        for t in range(count["teams"])
+        for t in lane.robots["team"][lane.robots["alive"] == 1]
     }
     assert teams == {frozenset(robot.number for robot in team) for team in oracle.teams}
     assert set(np.flatnonzero(lane.sites["hostile"]).tolist()) == oracle.hostiles

@@ -98,20 +98,47 @@ def _moves(learner, robot):
 
 
 @_inline
-def sense(world, rules, lane, robot):
-    """Find a robot's input (Table I) and whether it is due for a decision (rule 6)."""
-    team = lane.teams[robot.team]
-    weapons = 0 if team.armed == 0 else (1 if team.armed < rules.weapons_needed else 2)
+def _stops(world, learner, lane, robot):
+    """Return 1 if a robot stands at an unresolved feature and does not move on, else 0 (rule 11)."""
+    if robot.half >= 0 or world.nodes[robot.node].feature == 1 or lane.sites[robot.node].resolved == 1:
+        return 0
+    return 0 if _moves(learner, robot) else 1
+
+
+@_inline
+def _input(world, rules, lane, robot):
+    """Return a robot's input (Table I): its row of the full task's table."""
+    armed = lane.teams[robot.team].armed
+    weapons = 0 if armed == 0 else (1 if armed < rules.weapons_needed else 2)
     feature = 1
     if robot.half < 0 and lane.sites[robot.node].resolved == 0:
         feature = world.nodes[robot.node].feature
     goal_known = 1 if _goal(rules, robot) >= 0 else 0
-    row = robot.dl * rules.dl_rows + goal_known * rules.gl_rows + weapons * rules.nwpn_rows + (feature - 1)
-    if row != robot.row or robot.since >= rules.patience:
+    return robot.dl * rules.dl_rows + goal_known * rules.gl_rows + weapons * rules.nwpn_rows + (feature - 1)
+
+
+@_inline
+def sense(world, rules, lane, robot):
+    """Find a robot's input and whether it is due for a decision (rule 6)."""
+    row = _input(world, rules, lane, robot)
+    if row != robot.row or lane.count[0].tick >= robot.decided + rules.patience:
         robot.due = 1
         robot.row = row
-    if robot.due == 1:
-        team.due = 1
+
+
+@_inline
+def wake(lane):
+    """Move everyone on by its pace, and list who is looked at in this step: see :func:`plan`."""
+    robots, count = lane.robots, lane.count[0]
+    tick, n = count.tick, 0
+    for i in range(count.alive):
+        r = lane.roster[i]
+        robot = robots[r]
+        robot.progress += robot.pace
+        if robot.wake <= tick:
+            lane.awake[n] = r
+            n += 1
+    count.awake = n
 
 
 @_inline
@@ -151,57 +178,93 @@ def draw_output(learner, lane, r):
 
 
 @_inline
-def decide(world, rules, learner, lane):
-    """Let all find their inputs, and those who are due decide, in robot order; a whole team under ``by_team`` (rule 5).
-
-    No decision changes an input, so both are done in one pass; a team has to know first whether any member is due.
-    Marks the unresolved features at which someone stops, and returns whether there is one.
-    """
-    robots, teams, sites, count = lane.robots, lane.teams, lane.sites, lane.count[0]
-    someone_stops = False
-    if rules.by_team == 1:
-        for i in range(count.alive):
-            sense(world, rules, lane, robots[lane.roster[i]])
+def wake_teams(world, rules, lane):
+    """Let the awake find their inputs, and wake every member of a team in which one is due (rule 5)."""
+    robots, teams, count = lane.robots, lane.teams, lane.count[0]
+    someone_due = False
+    for i in range(count.awake):
+        robot = robots[lane.awake[i]]
+        sense(world, rules, lane, robot)
+        teams[robot.team].due |= robot.due
+        someone_due |= robot.due == 1
+    if not someone_due:
+        return
+    n = 0
     for i in range(count.alive):
         r = lane.roster[i]
         robot = robots[r]
-        team = teams[robot.team]
-        if rules.by_team == 0:
-            sense(world, rules, lane, robot)
-        if (team.due if rules.by_team == 1 else robot.due) == 1:
-            if rules.by_team == 1 and team.lead != r:
-                robot.out = robots[team.lead].out
-                robot.pair_row = robots[team.lead].pair_row
-            else:
-                draw_output(learner, lane, r)
-            robot.due = 0
-            robot.since = 0
-            robot.repelled = 0
-            if robot.half < 0:
-                robot.force = robot.out
-        if robot.half >= 0 or world.nodes[robot.node].feature == 1 or sites[robot.node].resolved == 1:
-            continue
-        if not _moves(learner, robot):
-            sites[robot.node].stopped = count.tick
-            someone_stops = True
-    return someone_stops
+        robot.due = teams[robot.team].due
+        if robot.due == 1 or robot.wake <= count.tick:
+            lane.awake[n] = r
+            n += 1
+    count.awake = n
+    for i in range(n):
+        teams[robots[lane.awake[i]].team].due = 0
 
 
 @_inline
-def alert(world, lane):
-    """Spread the suspicion of robots that stop at an unresolved feature (rule 11)."""
-    robots, sites, count = lane.robots, lane.sites, lane.count[0]
-    for i in range(count.alive):
-        robot = robots[lane.roster[i]]
-        if robot.dl != 0:
-            continue
-        node = world.nodes[robot.node]
-        for k in range(node.near_first, node.near_last):
-            if sites[world.near[k]].stopped == count.tick:
-                robot.dl = 1
-                robot.alert = world.near[k]
-                count.messages += 1
-                break
+def decide(world, rules, learner, lane):
+    """Let the awake find their inputs, and those who are due decide, in robot order (rules 5 and 6).
+
+    Keeps count of who stops at an unresolved feature, and returns whether somebody began to.
+    """
+    robots, teams, sites, count = lane.robots, lane.teams, lane.sites, lane.count[0]
+    began = False
+    if rules.by_team == 1:
+        wake_teams(world, rules, lane)
+    for i in range(count.awake):
+        r = lane.awake[i]
+        robot = robots[r]
+        if rules.by_team == 0:
+            sense(world, rules, lane, robot)
+        if robot.due == 1:
+            lead = teams[robot.team].lead
+            if rules.by_team == 1 and lead != r:
+                robot.out = robots[lead].out
+                robot.pair_row = robots[lead].pair_row
+            else:
+                draw_output(learner, lane, r)
+            robot.due = 0
+            robot.decided = count.tick
+            robot.repelled = 0
+            if robot.half < 0:
+                robot.force = robot.out
+        stops = _stops(world, learner, lane, robot)
+        if stops != robot.stopping:
+            began |= stops == 1
+            count.stopping += stops - robot.stopping
+            sites[robot.node].stoppers += stops - robot.stopping
+            robot.stopping = stops
+    return began
+
+
+@_inline
+def _hear(world, lane, robot):
+    """Let a robot hear of the nearby feature, the highest-numbered one, at which somebody stops (rule 11)."""
+    sites, count = lane.sites, lane.count[0]
+    node = world.nodes[robot.node]
+    for k in range(node.near_first, node.near_last):
+        site = sites[world.near[k]]
+        if site.stoppers > 0 and site.resolved == 0:
+            robot.dl = 1
+            robot.alert = world.near[k]
+            robot.wake = count.tick + 1
+            count.messages += 1
+            return
+
+
+@_inline
+def alert(world, lane, began):
+    """Spread the suspicion of robots that stop at an unresolved feature.
+
+    Who suspects nothing has heard of no earlier stop. So only a stop that has just begun, or a robot that is awake
+    since it came to another node, can change that.
+    """
+    count = lane.count[0]
+    for i in range(count.alive if began else count.awake):
+        robot = lane.robots[lane.roster[i] if began else lane.awake[i]]
+        if robot.dl == 0:
+            _hear(world, lane, robot)
 
 
 @_inline
@@ -313,14 +376,14 @@ def choose_edge(world, rules, learner, lane, r):
 
 @_inline
 def leave(world, rules, learner, lane):
-    """Let all who move at a node choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
+    """Let the awake who move at a node choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
 
     Returns whether any unresolved feature is crossed.
     """
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
     crossed = False
-    for i in range(count.alive):
-        r = lane.roster[i]
+    for i in range(count.awake):
+        r = lane.awake[i]
         robot = robots[r]
         robot.crossing = 0
         if robot.half >= 0 or sites[robot.node].unsearched > 0 or not _moves(learner, robot):
@@ -345,8 +408,8 @@ def _resolve(rules, lane):
     """Decide each crossed feature; return the highest and second-highest node of a failed attack, or -1."""
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
     highest, second = np.int64(-1), np.int64(-1)
-    for i in range(count.alive):
-        robot = robots[lane.roster[i]]
+    for i in range(count.awake):
+        robot = robots[lane.awake[i]]
         site = sites[robot.node]
         if robot.crossing == 0 or site.resolved == 1 or site.failed == count.tick:
             continue
@@ -386,6 +449,12 @@ def encounter(rules, learner, lane):
                 )
             if rules.drill == 0:
                 robot.alive = 0
+                robot.died = count.tick
+                count.stopping -= robot.stopping
+                sites[robot.node].stoppers -= robot.stopping
+                robot.stopping = 0
+                robot.next = -1
+                take_out(lane, r, robot.node)
                 continue
             if robot.crossing == 1:
                 robot.next = -1
@@ -400,45 +469,127 @@ def encounter(rules, learner, lane):
             robot.alert = news
         if robot.dl != dl or robot.alert != about:
             count.messages += 1
+        robot.wake = count.tick + 1  # what it sees may have changed
         roster[living] = r
         living += 1
     count.alive = living
 
 
 @_inline
-def move(world, rules, learner, lane):
-    """Advance everyone under way and take in arrivals (rules 2 and 12)."""
-    robots, count = lane.robots, lane.count[0]
-    for i in range(count.alive):
-        r = lane.roster[i]
+def _speed(world, learner, lane, r):
+    """Return how far a robot comes in a step in which it moves (mm): rules 2 and 15."""
+    robot, member = lane.robots[r], world.members[r]
+    team = lane.teams[robot.team]
+    keeps = member.armed == 0 and learner.outputs[robot.force].wpn == 1
+    return team.slowest if keeps and team.armed > 0 and team.slowest < member.speed_mm else member.speed_mm
+
+
+@_inline
+def arrive(world, lane, r):
+    """Take a robot in at the end of its corridor (rules 2 and 12)."""
+    robot, count = lane.robots[r], lane.count[0]
+    half = world.halves[robot.half]
+    robot.node = half.to
+    robot.came = half.edge
+    robot.half = -1
+    robot.progress = 0
+    robot.pace = 0
+    robot.due = 1
+    lane.maps[r, half.edge >> 6] |= np.uint64(1) << np.uint64(half.edge & 63)
+    count.arrivals += 1
+    if lane.visited[half.edge] == 0:
+        lane.visited[half.edge] = 1
+        count.edges_left -= 1
+    if lane.sites[half.to].unsearched > 0 and lane.places[half.to].first < 0:
+        lane.rooms[count.rooms_open] = half.to
+        count.rooms_open += 1
+    put_in(lane, r, half.to)
+
+
+@_inline
+def move(world, learner, lane):
+    """Send the awake off, and take in those who arrive; :func:`wake` has moved whoever was under way."""
+    robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
+    for i in range(count.awake):
+        r = lane.awake[i]
         robot = robots[r]
+        if robot.alive == 0:
+            continue
         leaving = robot.next >= 0
         if leaving:
+            take_out(lane, r, robot.node)
             robot.half = robot.next
             robot.next = -1
-            robot.progress = 0
+            robot.progress = _speed(world, learner, lane, r)
         if robot.half < 0:
+            touch(lane, robot.node)
             continue
-        if leaving or learner.outputs[robot.force].mv == 1:
-            speed = world.members[r].speed_mm
-            team = lane.teams[robot.team]
-            keeps = world.members[r].armed == 0 and learner.outputs[robot.force].wpn == 1
-            if keeps and team.armed > 0 and team.slowest < speed:
-                speed = team.slowest
-            robot.progress += speed
-            half = world.halves[robot.half]
-            if robot.progress >= half.cost_mm:
-                robot.node = half.to
-                robot.came = half.edge
-                robot.half = -1
-                robot.progress = 0
-                robot.due = 1
-                lane.maps[r, half.edge >> 6] |= np.uint64(1) << np.uint64(half.edge & 63)
-                if lane.visited[half.edge] == 0:
-                    lane.visited[half.edge] = 1
-                    count.edges_left -= 1
+        place = n_nodes + robot.half
+        if robot.progress >= world.halves[robot.half].cost_mm:
+            if not leaving:
+                take_out(lane, r, place)
+            arrive(world, lane, r)
+        elif leaving:
+            put_in(lane, r, place)
+        else:
+            touch(lane, place)
         # what was decided in mid-corridor takes effect from the next step on
         robot.force = robot.out
+
+
+# --- who is where ------------------------------------------------------------------------------------------------
+
+
+@_inline
+def touch(lane, place):
+    """Have a place regrouped at the end of the step."""
+    count = lane.count[0]
+    if lane.places[place].touched != count.tick:
+        lane.places[place].touched = count.tick
+        lane.touched[count.touched] = place
+        count.touched += 1
+
+
+@_inline
+def put_in(lane, r, place):
+    """Enter a robot in the list of those at a place."""
+    robot, first = lane.robots[r], lane.places[place].first
+    robot.before = -1
+    robot.after = first
+    if first >= 0:
+        lane.robots[first].before = r
+    lane.places[place].first = r
+    touch(lane, place)
+
+
+@_inline
+def take_out(lane, r, place):
+    """Take a robot out of the list of those at a place."""
+    robot = lane.robots[r]
+    if robot.before >= 0:
+        lane.robots[robot.before].after = robot.after
+    else:
+        lane.places[place].first = robot.after
+    if robot.after >= 0:
+        lane.robots[robot.after].before = robot.before
+    touch(lane, place)
+
+
+@_inline
+def search(lane):
+    """Search the rooms that hold a robot, one step's worth each (rule 13); nobody leaves one before that is done."""
+    count = lane.count[0]
+    left = 0
+    for i in range(count.rooms_open):
+        node = lane.rooms[i]
+        lane.sites[node].unsearched -= 1
+        if lane.sites[node].unsearched == 0:
+            count.rooms_left -= 1
+            touch(lane, node)
+        else:
+            lane.rooms[left] = node
+            left += 1
+    count.rooms_open = left
 
 
 @_inline
@@ -460,74 +611,124 @@ def team_at(slots, tick, place, progress, fresh):
 
 
 @_inline
-def gather(world, lane):
-    """Find the teams (rule 4) and search the rooms that hold a robot, one step's worth each (rule 13).
-
-    Returns whether any two robots of a team have different maps.
-    """
-    # counters are kept in locals: the compiler must fear that any store into an array changes them
-    robots, teams, sites, maps, count = lane.robots, lane.teams, lane.sites, lane.maps, lane.count[0]
-    tick, n_teams, n_nodes = count.tick, 0, world.nodes.shape[0]
-    searching = 0
+def form_teams(world, rules, lane, place):
+    """Find the teams at a place (rule 4), numbered by one of their members; pool their maps (rule 12)."""
+    robots, teams, maps = lane.robots, lane.teams, lane.maps
+    at_node, first = place < world.nodes.shape[0], lane.places[place].first
     differ = False
-    for i in range(count.alive):
-        r = lane.roster[i]
+    r = first
+    while r >= 0:
         robot = robots[r]
-        half, node = robot.half, robot.node
-        robot.since += 1
-        t = team_at(lane.slots, tick, node if half < 0 else n_nodes + half, robot.progress, n_teams)
+        t = first if at_node else team_at(lane.slots, lane.count[0].tick, place, robot.progress, r)
         robot.team = t
         team = teams[t]
-        if t == n_teams:
-            n_teams += 1
+        if t == r:
             team.lead = r
             team.armed = 0
-            team.size = 1
+            team.slowest = 0
             team.due = 0
             team.learned = 0
         else:
-            team.size += 1
-            lead = team.lead
-            for w in range(maps.shape[1]):
-                differ |= maps[r, w] != maps[lead, w]
+            team.lead = min(team.lead, r)
+            if rules.share_map == SHARE_TEAM:
+                for w in range(maps.shape[1]):
+                    differ |= maps[r, w] != maps[t, w]
         member = world.members[r]
         if member.armed == 1:
             if team.armed == 0 or member.speed_mm < team.slowest:
                 team.slowest = member.speed_mm
             team.armed += 1
-        if half < 0 and sites[node].unsearched > 0 and sites[node].searched != tick:
-            site = sites[node]
-            site.searched = tick
-            site.unsearched -= 1
-            searching = 1
-            if site.unsearched == 0:
-                count.rooms_left -= 1
-    count.teams = n_teams
-    count.searching = searching
-    return differ
+        r = robot.after
+    if differ:
+        pool(lane, first)
 
 
 @_inline
-def pool(rules, lane):
-    """Pool maps within teams, or over all by radio; one message per pooling that taught someone (rules 11, 12)."""
-    robots, teams, maps, pooled, count = lane.robots, lane.teams, lane.maps, lane.pooled, lane.count[0]
-    words = maps.shape[1]
-    radio = rules.share_map == SHARE_RADIO
-    for i in range(count.alive):
-        r = lane.roster[i]
-        t = 0 if radio else robots[r].team
-        first = i == 0 if radio else teams[t].lead == r
-        for w in range(words):
-            pooled[t, w] = maps[r, w] if first else pooled[t, w] | maps[r, w]
-    for i in range(count.alive):
-        r = lane.roster[i]
-        t = 0 if radio else robots[r].team
-        for w in range(words):
+def pool(lane, first):
+    """Pool the maps of each team at a place; one message per pooling that taught someone (rules 11, 12)."""
+    robots, teams, maps, pooled = lane.robots, lane.teams, lane.maps, lane.pooled
+    r = first
+    while r >= 0:
+        t = robots[r].team
+        for w in range(maps.shape[1]):
+            pooled[t, w] = maps[r, w] if t == r else pooled[t, w] | maps[r, w]
+        r = robots[r].after
+    r = first
+    while r >= 0:
+        t = robots[r].team
+        for w in range(maps.shape[1]):
             if maps[r, w] != pooled[t, w]:
                 maps[r, w] = pooled[t, w]
                 if teams[t].learned == 0:
                     teams[t].learned = 1
-                    count.messages += 1
+                    lane.count[0].messages += 1
+        r = robots[r].after
+
+
+@_inline
+def pool_all(lane):
+    """Pool everyone's maps by radio; one message if that taught someone (rules 11, 12)."""
+    maps, pooled, count = lane.maps, lane.pooled, lane.count[0]
+    learned = False
+    for w in range(maps.shape[1]):
+        pooled[0, w] = 0
+        for i in range(count.alive):
+            pooled[0, w] |= maps[lane.roster[i], w]
+        for i in range(count.alive):
+            learned |= maps[lane.roster[i], w] != pooled[0, w]
+            maps[lane.roster[i], w] = pooled[0, w]
+    if learned:
+        count.messages += 1
+
+
+@_inline
+def plan(world, rules, learner, lane, place):
+    """Foresee for everyone at a place the tick at which it must be looked at again: it *wakes* then.
+
+    Until then a robot only moves on by its pace. It wakes to decide for want of patience, to arrive, where its input
+    has changed, where it begins or ends to stop at a feature, and when two in one corridor meet or part. What others do
+    to it later (alerts, fights, comings and goings at its place) wakes it or has its place planned anew.
+    """
+    robots, classes = lane.robots, lane.classes
+    tick = lane.count[0].tick
+    n_classes = 0
+    r = lane.places[place].first
+    while r >= 0:
+        robot = robots[r]
+        wakes = robot.decided + rules.patience
+        if robot.half >= 0:
+            pace = np.int64(0)
+            if learner.outputs[robot.force].mv == 1:
+                pace = _speed(world, learner, lane, r)
+                way = world.halves[robot.half].cost_mm - robot.progress
+                wakes = min(wakes, tick + (way + pace - 1) // pace)
+            robot.pace = pace
+            known = False
+            for c in range(n_classes):
+                gap, faster = classes[c, 0] - robot.progress, pace - classes[c, 1]
+                if gap == 0 and faster == 0:
+                    known = True
+                    break
+                if gap == 0:
+                    wakes = tick + 1
+                elif faster != 0 and (gap > 0) == (faster > 0) and gap % faster == 0:
+                    wakes = min(wakes, tick + gap // faster)
+            if not known and n_classes < classes.shape[0]:
+                classes[n_classes, 0] = robot.progress
+                classes[n_classes, 1] = pace
+                n_classes += 1
+            elif not known:
+                wakes = tick + 1
+        elif _moves(learner, robot):
+            if lane.sites[robot.node].unsearched == 0:
+                wakes = tick + 1
+        elif _stops(world, learner, lane, robot) != robot.stopping:
+            wakes = tick + 1
+        if robot.due == 1 or _input(world, rules, lane, robot) != robot.row:
+            wakes = tick + 1
+        if robot.wake != tick + 1:  # else a fight or an alert has woken it
+            robot.wake = wakes
+        r = robot.after
 
 
 @_inline
@@ -539,17 +740,23 @@ def _step(world, rules, learner, lane):
     count = lane.count[0]
     count.tick += 1
     count.robot_steps += count.alive
-    someone_stops = decide(world, rules, learner, lane)
+    count.touched = 0
+    count.arrivals = 0
+    wake(lane)
+    began = decide(world, rules, learner, lane)
     if count.outside > 0:
         return OUTSIDE
-    if someone_stops and rules.alerts == 1:
-        alert(world, lane)
+    if count.stopping > 0 and rules.alerts == 1:
+        alert(world, lane, began)
     if leave(world, rules, learner, lane):
         encounter(rules, learner, lane)
-    move(world, rules, learner, lane)
-    differ = gather(world, lane)
-    if rules.share_map == SHARE_RADIO or (rules.share_map == SHARE_TEAM and differ):
-        pool(rules, lane)
+    move(world, learner, lane)
+    search(lane)
+    for i in range(count.touched):
+        form_teams(world, rules, lane, lane.touched[i])
+        plan(world, rules, learner, lane, lane.touched[i])
+    if rules.share_map == SHARE_RADIO and count.arrivals > 0:
+        pool_all(lane)
     count.step += 1
     if count.edges_left == 0 and count.rooms_left == 0 and count.hostiles_left == 0:
         return SUCCESS
@@ -605,15 +812,20 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     count.used = 0
     count.outside = 0
     count.key = trial_key
+    count.stopping = 0
+    count.touched = 0
     lane.visited[:] = 0
     lane.maps[:] = 0
     for v in range(world.nodes.shape[0]):
         site = lane.sites[v]
         site.hostile = 0
         site.resolved = 0
+        site.stoppers = 0
         site.unsearched = world.search[v]
+    for place in range(lane.places.shape[0]):
+        lane.places[place].first = -1
     place_hostiles(world, rules, lane, absorb(trial_key, 0) if rules.relocate == 1 else place_key)
-    for r in range(n_robots):
+    for r in range(n_robots - 1, -1, -1):
         lane.roster[r] = r
         robot = lane.robots[r]
         robot.alive = 1
@@ -622,22 +834,25 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.next = -1
         robot.came = -1
         robot.progress = 0
+        robot.pace = 0
         robot.due = 1
-        robot.since = -1  # `gather` below counts one step that did not happen
+        robot.decided = count.tick + 1  # the first decision falls due then
+        robot.wake = count.tick + 1
         robot.row = -1
         robot.pair_row = 0
         robot.out = 0
         robot.force = 0
         robot.repelled = 0
         robot.crossing = 0
+        robot.stopping = 0
         robot.dl = 0
         robot.alert = -1
         robot.decisions = 0
         robot.choices = 0
-    gather(world, lane)
-    # that was the grouping before the first step: nothing has been searched yet
-    lane.sites[rules.start].unsearched = world.search[rules.start]
-    count.rooms_left = rules.rooms
+        put_in(lane, r, rules.start)
+    form_teams(world, rules, lane, rules.start)
+    count.rooms_open = 1 if world.search[rules.start] > 0 else 0
+    lane.rooms[0] = rules.start
 
 
 @_entry
@@ -679,9 +894,9 @@ def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, f
             lane.given[r] = fixed[n]
         state = GOES_ON
         while state == GOES_ON:
-            messages = count.messages
+            messages, searching = count.messages, count.rooms_open > 0
             state = _step(world, rules, learner, lane)
-            if stuck and count.searching == 0 and count.messages == messages and state == GOES_ON:
+            if stuck and not searching and count.messages == messages and state == GOES_ON:
                 state = FAILURE
         if state == OUTSIDE:
             return n, count.outside
@@ -692,14 +907,16 @@ def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, f
         table[n, 0] = steps
         table[n, 1] = 1 if success else 0
         table[n, 2] = count.losses
-        table[n, 3] = count.teams
+        table[n, 3] = 0
         table[n, 4] = count.hostiles_left
         table[n, 5] = lane.visited.shape[0] - count.edges_left
         table[n, 6] = count.messages
         for k in range(left.shape[1]):
             left[n, k] = 0
         for i in range(count.alive):
-            left[n, world.members[lane.roster[i]].kind] += 1
+            r = lane.roster[i]
+            left[n, world.members[r].kind] += 1
+            table[n, 3] += 1 if lane.robots[r].team == r else 0  # a team is numbered by one of its members
     return fixed.shape[0], 0
 
 

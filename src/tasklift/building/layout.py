@@ -21,20 +21,26 @@ HALF = _record(to="i8", edge="i8", cost_mm="i8", coverage="f8")
 MEMBER = _record(speed_mm="i8", armed="i8", kind="i8")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8")
 ROBOT = _record(
-    alive="i8", node="i8", half="i8", next="i8", came="i8", progress="i8",  # half, next, came: -1 for none
-    due="i8", since="i8", row="i8", pair_row="i8", out="i8", force="i8", repelled="i8", crossing="i8",
+    alive="i8", node="i8", half="i8", next="i8", came="i8", progress="i8", pace="i8",  # half, next, came: -1 for none
+    due="i8", decided="i8", row="i8", pair_row="i8", out="i8", force="i8", repelled="i8", crossing="i8",
     dl="i8", alert="i8", team="i8", decisions="i8", choices="i8",
+    wake="i8", died="i8", stopping="i8", after="i8", before="i8",  # decided, wake, died: ticks
 )  # fmt: skip
 SITE = _record(
-    hostile="i8", resolved="i8", unsearched="i8", armed_crossing="i8",
-    stopped="i8", crossed="i8", failed="i8", searched="i8", picking="i8", picks="i8",  # the tick at which it last was
+    hostile="i8", resolved="i8", unsearched="i8", armed_crossing="i8", stoppers="i8",
+    crossed="i8", failed="i8", picking="i8", picks="i8",  # crossed, failed, picking: the tick at which it last was
 )  # fmt: skip
-TEAM = _record(lead="i8", armed="i8", slowest="i8", size="i8", due="i8", learned="i8")
+PLACE = _record(first="i8", touched="i8")  # a node, or N + a half-edge; the first robot there, -1 for none
+TEAM = _record(lead="i8", armed="i8", slowest="i8", due="i8", learned="i8")
 SLOT = _record(tick="i8", place="i8", progress="i8", team="i8")
 COUNT = _record(
-    step="i8", alive="i8", teams="i8", edges_left="i8", rooms_left="i8", hostiles_left="i8", losses="i8",
-    messages="i8", used="i8", tick="i8", trial="i8", robot_steps="i8", searching="i8", outside="i8", key="u8",
+    step="i8", alive="i8", awake="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8", rooms_open="i8",
+    hostiles_left="i8", losses="i8", messages="i8", used="i8", tick="i8", trial="i8", robot_steps="i8", arrivals="i8",
+    outside="i8", key="u8",
 )  # fmt: skip
+
+#: Classes of robots in one corridor, by progress and pace, whose meetings are foreseen; with more it is watched.
+CLASSES = 8
 
 
 class World(NamedTuple):
@@ -96,17 +102,22 @@ class Lane(NamedTuple):
     robots: Any  # ROBOT (R,)
     given: Any  # int64 (R,): the output of each robot's next decisions, -1: drawn
     roster: Any  # int64 (R,): the living, ascending, first `count.alive` entries
+    awake: Any  # int64 (R,): those of them that are looked at in this step, ascending, first `count.awake` entries
     sites: Any  # SITE (N,)
+    places: Any  # PLACE (N + H,)
+    touched: Any  # int64 (N + H,): the places at which something changed in this step, first `count.touched` entries
+    rooms: Any  # int64 (N,): rooms that are being searched, first `count.rooms_open` entries
     picks: Any  # int64 (H,): per node, the half-edges chosen in this step, in order
     open: Any  # uint8 (largest degree,): which of a node's half-edges a robot may take
     share: Any  # float64 (largest degree,): p_j over them, 0 where not open
     visited: Any  # uint8 (E,)
     maps: Any  # uint64 (R, W): the edges in each robot's map
     pooled: Any  # uint64 (R, W): scratch, by team
-    teams: Any  # TEAM (R,)
+    teams: Any  # TEAM (R,): at the number of one of its members
     slots: Any  # SLOT (power of two, at least 2 R,): hash of places to teams
-    used: Any  # int64 (S, A): the trial in which each pair was last used
-    pairs: Any  # int64 (S * A,): the pairs used in this trial, in order of first use
+    classes: Any  # int64 (CLASSES, 2): scratch, progress and pace
+    used: Any  # int32 (S, A): the trial in which each pair was last used
+    pairs: Any  # int32 (S * A,): the pairs used in this trial, in order of first use
     shuffle: Any  # int64: scratch for placing hostiles
     count: Any  # COUNT (1,)
     weights: Any  # float64 (S, A)

@@ -169,12 +169,17 @@ class Simulator:
         n_edges = self.mission.building.n_edges
         words = (n_edges + 63) // 64
         degree = int((self.world.nodes["last"] - self.world.nodes["first"]).max())
+        n_halves = len(self.world.halves)
         return layout.Lane(
             robots=np.zeros(n_robots, layout.ROBOT),
             given=np.full(n_robots, -1, np.int64),
             roster=np.zeros(n_robots, np.int64),
+            awake=np.zeros(n_robots, np.int64),
             sites=np.zeros(n_nodes, layout.SITE),
-            picks=np.zeros(len(self.world.halves), np.int64),
+            places=np.zeros(n_nodes + n_halves, layout.PLACE),
+            touched=np.zeros(n_nodes + n_halves, np.int64),
+            rooms=np.zeros(n_nodes, np.int64),
+            picks=np.zeros(n_halves, np.int64),
             open=np.zeros(degree, np.uint8),
             share=np.zeros(degree),
             visited=np.zeros(n_edges, np.uint8),
@@ -182,8 +187,9 @@ class Simulator:
             pooled=np.zeros((n_robots, words), np.uint64),
             teams=np.zeros(n_robots, layout.TEAM),
             slots=np.zeros(1 << (2 * n_robots - 1).bit_length(), layout.SLOT),
-            used=np.zeros(shape, np.int64),
-            pairs=np.zeros(math.prod(shape), np.int64),
+            classes=np.zeros((layout.CLASSES, 2), np.int64),
+            used=np.zeros(shape, np.int32),
+            pairs=np.zeros(math.prod(shape), np.int32),
             shuffle=np.zeros(len(self.world.candidates), np.int64),
             count=np.zeros(1, layout.COUNT),
             weights=np.zeros(shape),
@@ -466,12 +472,21 @@ class Simulator:
         )
 
 
+#: A robot's record in a trace: with the steps since its last decision.
+_SEEN = np.dtype([*layout.ROBOT.descr, ("since", "i8")])
+
+
 def _frame(lane: layout.Lane) -> dict[str, Any]:
+    robots = np.zeros(len(lane.robots), _SEEN)
+    for name in layout.ROBOT.names or ():
+        robots[name] = lane.robots[name]
+    now = lane.count["tick"][0]
+    robots["since"] = np.where(robots["alive"] == 1, now + 1, robots["died"]) - robots["decided"]
     return {
-        "robots": lane.robots.copy(),
+        "robots": robots,
         "hostile": lane.sites["hostile"] == 1,
         "resolved": lane.sites["resolved"] == 1,
-        "failed": lane.sites["failed"] == lane.count["tick"][0],
+        "failed": lane.sites["failed"] == now,
         "unsearched": lane.sites["unsearched"].copy(),
         "visited": lane.visited == 1,
         "messages": lane.count["messages"][0],

@@ -48,6 +48,7 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, Path]:
         for kind, options in kinds.items():
             buffer = io.BytesIO()
             figure.savefig(buffer, format=kind, **options)
+            figure.set_layout_engine("none")  # laid out once is enough, and the same in both
             write_atomically(folder / f"{name}.{kind}", buffer.getvalue())
     return folder / f"{name}.png", folder / f"{name}.svg"
 

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 #: own map, and on one that it has never seen.
 GREEDY_TRIALS = 5
 GREEDY = Fixed(Reinforcement(selection="exploitation"))
+#: Worlds that are kept of a building. One is compiled in half a millisecond and takes 0.15 MB.
+WORLDS_KEPT = 200
 #: What the rows of a trial may hold.
 COLUMNS = ("steps", "success", "losses", "robots_left", "teams_left", "hostiles_left", "explored", "messages")
 
@@ -209,12 +211,14 @@ class Study:
     def _setup(self, condition: str, building: str) -> Setup:
         of = self.conditions[condition]
         worlds = self._worlds.setdefault(building, {})
-        key = (of.hostiles, of.reading)
-        if key not in worlds:
+        mission = worlds.get((of.hostiles, of.reading))
+        if mission is None:
+            if len(worlds) >= WORLDS_KEPT:
+                worlds.clear()
             place = self.buildings[building] if building in self.buildings else self.unseen[building]
-            mission = Mission(place, self.team, of.hostiles, of.reading, self.weapons_needed, self.limit)
-            worlds.setdefault(key, mission)  # threads that come at once share the first one's
-        return Setup(worlds[key], of.reinforcement, self.trials, self.repeats, worlds)
+            made = Mission(place, self.team, of.hostiles, of.reading, self.weapons_needed, self.limit)
+            mission = worlds.setdefault((of.hostiles, of.reading), made)  # threads that come at once share one
+        return Setup(mission, of.reinforcement, self.trials, self.repeats, worlds)
 
     def mission(self, condition: str, building: str) -> Mission:
         """Return T's world on one building under one condition, made at its first use."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import io
+import signal
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -105,6 +107,7 @@ def policy_export(file: Path, out: Path, force: bool) -> None:
 
 def main() -> None:
     """Run the command line; the user's mistakes end in one line and exit code 2, Ctrl-C in 130."""
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # Ctrl-C while Python ends has nothing to stop
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show a character gets its number
             stream.reconfigure(errors="backslashreplace")

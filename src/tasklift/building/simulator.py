@@ -21,7 +21,7 @@ from tasklift.checks import LARGEST_WHOLE, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
-from tasklift.tasks.policy import Policy
+from tasklift.tasks.policy import Policy, greedy_share
 from tasklift.tasks.task import Task
 from tasklift.text import shown
 
@@ -505,14 +505,13 @@ def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool
         ca=[v["CA"] for v in values],
     )
     sweep_all = sweep and reinforcement.sweep_credit == "all"
-    greedy = {"exploration": 0.0, "pseudo-random": reinforcement.q, "exploitation": 1.0}
     return layout.Learner(
         rows=np.ascontiguousarray(task.input_map, np.int64),
         outputs=outputs,
         signal=np.ascontiguousarray(task.signal_table(impossible=not sweep_all), np.float64),
         learn=int(learn),
         sweep_all=int(sweep_all),
-        greedy=float(greedy[reinforcement.selection]),
+        greedy=greedy_share(reinforcement.selection, reinforcement.q),
         floor=float(reinforcement.floor),
         once=int(reinforcement.credit == "trial"),
         time_signal=kernel.TIME_INVERTED if sweep else _TIME_SIGNALS[reinforcement.time_signal],

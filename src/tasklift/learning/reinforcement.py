@@ -22,7 +22,7 @@ from tasklift.learning.chances import SWEEP_STAGE, Chances
 from tasklift.learning.learner import Curve, Run, provenance
 from tasklift.learning.worlds import Outcomes, Record, StepOutcomes, Steps, Trials, View, joined, outcomes_of
 from tasklift.tasks import choice as rules
-from tasklift.tasks.policy import Policy
+from tasklift.tasks.policy import Policy, greedy_share
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import plain_number
 
@@ -472,7 +472,7 @@ class _Trial:
         self.world, self.view, self.weights, self.signals = world, view, weights, signals
         self.settings, self.fixed, self.learn = settings, fixed, learn
         self.to_all = fixed is not None and settings.sweep_credit == "all"
-        self.greedy = {"exploration": 0.0, "exploitation": 1.0}.get(settings.selection, settings.q)
+        self.greedy = greedy_share(settings.selection, settings.q)
         self.used: dict[tuple[int, int], None] = {}
 
     def run(self, rng: np.random.Generator, usual_steps: float | None) -> Record:

@@ -217,6 +217,13 @@ def to_target(
         On T; default: the setup's.
     rules
         Fields of :class:`.Reinforcement` that this arm changes on T.
+
+    Examples
+    --------
+    >>> from tasklift.building import Mission, generate
+    >>> on = Setup(Mission(generate(seed=7), "10+5"))
+    >>> [stage.name for stage in to_target(on, "copy", drilling=Drilling(80), loss_signal=-0.5).stages]
+    ['source', 'drill', 'target']
     """
     task, learner = on.mission.task, replace(on.reinforcement, **rules)
     priors = {"copy-prior": PRIOR, "prior": prior_alone(on.reinforcement.initial_weight)}.get(start, ())

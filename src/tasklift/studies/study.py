@@ -50,7 +50,13 @@ _latest = threading.local()  # what the arms of one map and seed share in this t
 
 @dataclass(frozen=True)
 class Condition:
-    """Under which rules arms learn: the world's, the learner's, and the number of hostiles."""
+    """Under which rules arms learn: the world's, the learner's, and the number of hostiles.
+
+    Examples
+    --------
+    >>> Condition(Reading(split="team"), hostiles=2).to_json()
+    {'hostiles': 2, 'reading': {'split': 'team'}, 'reinforcement': {}}
+    """
 
     reading: Reading = field(default_factory=Reading)
     reinforcement: Reinforcement = field(default_factory=Reinforcement)
@@ -131,6 +137,19 @@ class Study:
     ------
     TaskliftError
         For what cannot work on one of the maps or is unknown, before anything is trained.
+
+    Examples
+    --------
+    >>> from tasklift.studies.study import Condition, Study, generated
+    >>> study = Study.every(generated([7]), {"scattered": Condition()}, ["direct", "copy"], seeds=1, trials=10)
+    >>> print(*study.cells(), sep="; ")
+    reading scattered, map map-7, seed 0, arm direct; reading scattered, map map-7, seed 0, arm copy
+    >>> copied = study.work(study.cells()[1])
+    >>> {stage: len(rows["steps"]) for stage, rows in copied.stages.items()}
+    {'source': 220, 'target': 10, 'greedy': 5}
+    >>> trace = study.replay(study.cells()[1], trial=9)
+    >>> bool(trace.losses[-1] == copied.stages["target"]["losses"][9])
+    True
     """
 
     buildings: Mapping[str, Building]

@@ -162,7 +162,7 @@ class Policy:
         TaskliftError
             For an unknown input or selection, and for values that would have to be drawn in proportion.
         """
-        greedy = _greedy(selection, q)
+        greedy = greedy_share(selection, q)
         row = self.row(input)
         ties = row == row.max()
         shares = greedy * ties / ties.sum()
@@ -229,7 +229,7 @@ class Policy:
         u, coin
             The random numbers themselves, in [0, 1), in place of ``rng``.
         """
-        greedy = _greedy(selection, q)
+        greedy = greedy_share(selection, q)
         if greedy < 1.0:
             self._need_weights(selection)
         if (rng is None) == (u is None):
@@ -370,8 +370,8 @@ class Policy:
             raise TaskliftError(str(error) if where in str(error) else f"{where}: {error}") from error
 
 
-def _greedy(selection: str, q: float) -> float:
-    """Return the probability of taking the heaviest output of a way of selection."""
+def greedy_share(selection: str, q: float) -> float:
+    """Return the probability with which a way of selection takes the heaviest output: the paper's q."""
     one_of(selection, SELECTIONS, "selection")
     q = number(q, "selection, q (a probability)", 0.0, 1.0)
     return {"exploration": 0.0, "exploitation": 1.0}.get(selection, q)

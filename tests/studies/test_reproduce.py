@@ -118,6 +118,10 @@ def test_more_seeds_are_the_same_experiment(tmp_path):
         more = {cell: result.stages["target"]["steps"].tolist() for cell, result in store.select(arm="copy")}
     assert len(more) == 3 * len(PRESETS)
     assert few.items() <= more.items()
+    # fewer again: the report is about those asked for, whatever else is there
+    report = reproduce(seeds=2, **asked).read_text()
+    assert "1 generated buildings × 2 seeds" in report
+    assert "mean of 2 runs" in (tmp_path / "more" / "figures" / "figure4-scattered.svg").read_text()
 
 
 CONDITIONS = {name: Condition(reading) for name, reading in PRESETS.items()}

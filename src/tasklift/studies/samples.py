@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
-from tasklift.lab import Store
+from tasklift.lab import Cell, Store
 
 Floats = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class Sample:
     move_weights: Floats | None = None
 
     @classmethod
-    def of(cls, store: Store, arm: str, **where: str) -> Sample:
+    def of(cls, store: Store, arm: str, *, among: Collection[Cell] | None = None, **where: str) -> Sample:
         """Read an arm's rows.
 
         Parameters
@@ -74,6 +74,8 @@ class Sample:
             Of a study.
         arm
             Its slug.
+        among
+            Only these cells, where the store may have more than were asked for.
         where
             Values of other axes, such as ``reading="scattered"``.
 
@@ -82,7 +84,11 @@ class Sample:
         TaskliftError
             If the store has no such rows.
         """
-        found = list(store.select(arm=arm, **where, attachments=True))
+        found = [
+            (cell, result)
+            for cell, result in store.select(arm=arm, **where, attachments=True)
+            if among is None or cell in among
+        ]
         if not found:
             raise TaskliftError(f"{store.path}: no rows of arm {arm!r} {where or ''}; `tasklift runs show` lists them")
         settings = store.spec.settings

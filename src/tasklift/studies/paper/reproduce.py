@@ -110,8 +110,10 @@ def reproduce(
         surveys = surveys_of.read(store, plan)
         say = progress or (lambda done, total, note: None)
         say(0, 4, "judging the claims")
+        asked = set(plan.cells())
         samples = {
-            name: {slug: Sample.of(store, slug, reading=name).last(trials) for slug in arms} for name in PRESETS
+            name: {slug: Sample.of(store, slug, among=asked, reading=name).last(trials) for slug in arms}
+            for name in PRESETS
         }
         findings = [
             finding

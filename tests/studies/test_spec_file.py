@@ -22,7 +22,8 @@ from tasklift.files import parse_json
 from tasklift.learning.compare import compare
 from tasklift.studies import own_code
 from tasklift.studies.learn import run_spec
-from tasklift.studies.spec_file import curriculum_of, read_spec
+from tasklift.studies.spec_file import arm_of, curriculum_of, read_spec
+from tasklift.studies.study import Condition, Study, generated
 from tasklift.tasks.policy import Policy
 
 pytest.importorskip("gymnasium")
@@ -368,3 +369,25 @@ def test_mistakes_in_a_spec_are_named_before_anything_is_trained(text: str, mess
     assert "spec.toml" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_specs_curriculum_is_an_arm_for_any_building(tmp_path: Path) -> None:
+    mine = arm_of(shortened("drill.toml", tmp_path))
+    study = Study.every(generated([7]), {"scattered": Condition()}, ["direct", mine], seeds=2, trials=5)
+    cell = study.cell("scattered", "map-7", 1, "own-drill")
+    assert cell in study.cells()
+    rows = study.work(cell).stages
+    assert {stage: len(columns["steps"]) for stage, columns in rows.items()} == {"drill": 30, "target": 30, "greedy": 5}
+    # the example's own building is map-7: the same episodes as the spec by itself
+    run = curriculum_of(read_spec(tmp_path / "drill.toml")).run(1)
+    assert rows["target"]["steps"].tolist() == list(run.outcomes.values())[-1].steps.tolist()
+    for stage in ("drill", "target"):
+        trace = study.replay(cell, 29, stage)
+        assert trace.losses[-1] == rows[stage]["losses"][29]
+    # another curriculum under the same name is another experiment
+    text = (tmp_path / "drill.toml").read_text()
+    (tmp_path / "drill.toml").write_text(text.replace("trials = 30", "trials = 31", 1))
+    other = Study.every(study.buildings, study.conditions, ["direct", arm_of(tmp_path / "drill.toml")], seeds=2)
+    assert any("own-drill" in line for line in other.spec("a").conflicts(study.spec("a")))
+    with pytest.raises(TaskliftError, match="own"):
+        Study.every(generated([7]), {"scattered": Condition()}, [arm_of(EXAMPLES / "cliff.toml")])

@@ -223,7 +223,7 @@ class Curriculum:
         self, number: int, seed: int, before: CurriculumRun | None, initial: Policy | None, until: int | None = None
     ) -> StageRun:
         entering = self._entering(number, before, initial)
-        stage, key = self.stages[number], self._key(number)
+        stage, key = self.stages[number], self.key(number)
         return StageRun(stage, key, seed, entering, self._left(before), self.best_by, self.block, until)
 
     def _entering(self, number: int, before: CurriculumRun | None, initial: Policy | None) -> Policy | None:
@@ -256,7 +256,7 @@ class Curriculum:
 
     def _identity(self, number: int, seed: int, initial: Policy | None) -> Hashable | None:
         """Return the key under which the first stages, to this one, are shared; None if they cannot be compared."""
-        stages = tuple((*self.stages[k].identity(), self._key(k)) for k in range(number + 1))
+        stages = tuple((*self.stages[k].identity(), self.key(k)) for k in range(number + 1))
         key = (stages, seed, initial, self.max_losses, tuple(self.best_by), self.block)
         try:
             hash(key)
@@ -264,7 +264,8 @@ class Curriculum:
             return None
         return key
 
-    def _key(self, number: int) -> int:
+    def key(self, number: int) -> int:
+        """Return the part of the random key that a stage has, by its number from 0."""
         stage = self.stages[number]
         if stage.key is not None:
             return stage.key

@@ -100,6 +100,8 @@ class Arm:
         False: of its trials only what is summed up is stored.
     unspent
         Stages that are not booked: prior knowledge is made from them, the arm does not pay for them.
+    settings
+        What decides the arm beside its slug, as JSON; for arms that are not of this package.
     """
 
     slug: str
@@ -112,6 +114,7 @@ class Arm:
     drawn: bool = False
     rows: bool = True
     unspent: tuple[str, ...] = ()
+    settings: Any = None
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", self.slug):

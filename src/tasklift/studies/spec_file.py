@@ -35,8 +35,9 @@ The whole language, by example (``docs/tutorial.md`` explains it)::
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ from tasklift.learning.reinforcement import Reinforcement, Sweep
 from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning
 from tasklift.learning.worlds import Steps
+from tasklift.studies.arms import Arm, Setup
 from tasklift.studies.own_code import OwnCode
 from tasklift.tasks.prior import Prior, forget, invert, scale, set_weight, swap
 from tasklift.tasks.task import LARGEST_TABLE, Signal, Task, Variable
@@ -142,6 +144,43 @@ def curriculum_of(
     with code.running("stages"):
         curriculum.check()
     return curriculum
+
+
+def arm_of(path: str | os.PathLike[str], *, allow_imports: bool = False) -> Arm:
+    """Return a spec's curriculum as an arm for missions: a mission takes the place of the spec's environment.
+
+    Parameters
+    ----------
+    path
+        Of the spec. The arm is called ``own-`` and the file's name; it is judged against ``direct``.
+    allow_imports
+        As in :func:`curriculum_of`.
+
+    Raises
+    ------
+    TaskliftError
+        If the file cannot be read as a spec. What is wrong with a stage is found when a study is made.
+    """
+    document, file = read_spec(path), Path(path)
+
+    def curriculum(on: Setup) -> Curriculum:
+        mission = on.mission
+        environment = {name: getattr(mission, name) for name in ("building", "team", "weapons_needed", "limit")}
+        hostiles = mission.hostiles if isinstance(mission.hostiles, int) else list(mission.hostiles)
+        environment |= {"hostiles": hostiles, "reading": asdict(mission.reading)}
+        made = curriculum_of({**document, "environment": environment}, file.parent, allow_imports=allow_imports)
+        return replace(made, stages=(*made.stages[:-1], replace(made.stages[-1], name="target")))
+
+    slug = re.sub("[^a-z0-9]+", "-", file.stem.lower()).strip("-")
+    return Arm(
+        f"own-{slug}" if slug else "own",
+        document["name"],
+        f"the curriculum of {file.name}",
+        curriculum,
+        against=("direct",),
+        drawn=True,
+        settings={name: value for name, value in document.items() if name != "environment"},
+    )
 
 
 # -- the parts -------------------------------------------------------------------------------------------------
@@ -328,8 +367,8 @@ def _mission(environment: Mapping[str, Any], folder: Path) -> Mission:
         environment,
         "environment",
         {
-            "building": (str, dict),
-            "team?": str,
+            "building": (str, dict, Building),
+            "team?": (str, dict),
             "hostiles?": (int, list),
             "weapons_needed?": int,
             "limit?": int,
@@ -338,7 +377,9 @@ def _mission(environment: Mapping[str, Any], folder: Path) -> Mission:
     )
     try:
         chosen = data["building"]
-        building = Building.load(folder / chosen) if isinstance(chosen, str) else generate(**chosen)
+        building = Building.load(folder / chosen) if isinstance(chosen, str) else chosen
+        if isinstance(building, dict):
+            building = generate(**building)
     except TypeError as error:
         raise TaskliftError(f"environment, building: {error}") from error
     rest = {name: data[name] for name in ("hostiles", "weapons_needed", "limit") if name in data}

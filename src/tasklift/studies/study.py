@@ -323,13 +323,14 @@ class Study:
                 reinforcement=GREEDY.reinforcement, learn=False,
             )  # fmt: skip
         policy = curriculum.policy_at(seed, stage, trial, shared=self._shared(cell))
-        played = next(s for s in curriculum.stages if s.name == stage)
+        number = [one.name for one in curriculum.stages].index(stage)
+        played = curriculum.stages[number]
         learner, output = _at(played.learner, trial), None
         if isinstance(learner, Sweep):
             output = trial % policy.task.shape[1]
         rules = learner if isinstance(learner, Reinforcement) else learner.reinforcement  # type: ignore[attr-defined]
         return played.world.simulator.trace(  # type: ignore[union-attr]
-            policy, seed=seed, trial=trial, stage=played.key, reinforcement=rules, output=output,
+            policy, seed=seed, trial=trial, stage=curriculum.key(number), reinforcement=rules, output=output,
             learn=not isinstance(learner, Fixed),
         )  # fmt: skip
 
@@ -402,7 +403,7 @@ class Study:
                 self.axis: {name: condition.to_json() for name, condition in self.conditions.items()},
                 "map": {name: _of_building(building) for name, building in self.buildings.items()},
                 "seed": seeds,
-                "arm": dict.fromkeys(arm for part in self.parts for arm in part.arms),
+                "arm": {arm: self.arms[arm].settings for part in self.parts for arm in part.arms},
             },
             over=("map", "seed"),
         )

@@ -74,11 +74,11 @@ def search_only(task: Task) -> Task:
 
 
 def hostile_candidates(building: Building) -> list[int]:
-    """Return the doors that are not next to the start, ascending: where hostiles may be hidden (rule 14)."""
-    start = building.start
+    """Return the doors that are not next to the start, ascending: where hostiles may be hidden (rule 14).
+
+    In a building without doors, these are all its features that are not next to the start.
+    """
+    start, features = building.start, building.feature_class
     beside = {int(v) for v in building.neighbour[building.indptr[start] : building.indptr[start + 1]]}
-    return [
-        node
-        for node in range(building.n_nodes)
-        if building.feature_class[node] == ENEMY_FEATURE and node not in beside and node != start
-    ]
+    hides = features == ENEMY_FEATURE if (features == ENEMY_FEATURE).any() else features > 1
+    return [node for node in range(building.n_nodes) if hides[node] and node not in beside and node != start]

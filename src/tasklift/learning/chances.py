@@ -11,6 +11,9 @@ TARGET_STAGE = 2
 BUDGET_STAGE = 3
 DRILL_STAGE = 4
 GREEDY_STAGE = 5
+CERTIFY_STAGE = 6
+CHOICE_STAGE = 7
+FULL_DRILL_STAGE = 8
 """Stages are part of every random key, so that two stages of an experiment never share random numbers."""
 
 

@@ -18,10 +18,11 @@ import numpy as np
 from tasklift.building.mission import Mission
 from tasklift.building.search import ENEMY_FEATURE, hostile_candidates, search_only
 from tasklift.errors import TaskliftError
-from tasklift.learning.chances import BUDGET_STAGE, DRILL_STAGE, SWEEP_STAGE, TARGET_STAGE
+from tasklift.learning.chances import BUDGET_STAGE, DRILL_STAGE, FULL_DRILL_STAGE, SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.learner import InTurn
 from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
+from tasklift.learning.search import PolicySearch
 from tasklift.learning.stage import Stage
 from tasklift.tasks.policy import Policy, set_weight, swap
 from tasklift.tasks.prior import Prior
@@ -37,6 +38,8 @@ LOSS_SIGNAL = -0.5
 SPENT_BEFORE = 300
 #: What V costs: 44 outputs × 5 traversals.
 TRAVERSALS = 220
+#: Episodes of practice in which the search looks for a policy.
+PRACTICE = 36_000
 #: Trials on T that count for every arm of the drill study: its last ones.
 COUNTED = 100
 
@@ -55,6 +58,8 @@ class Setup:
         On the full task T.
     repeats
         Traversals per output on the simple task V.
+    practice
+        Episodes of practice with harmless hostiles (drills) for the arm that searches.
     worlds
         The worlds made so far. Setups that share this mapping share their worlds, and arms that share a world share
         what they learn in it first (:meth:`.Curriculum.run`).
@@ -64,6 +69,7 @@ class Setup:
     reinforcement: Reinforcement = field(default_factory=Reinforcement)
     trials: int = 100
     repeats: int = 5
+    practice: int = PRACTICE
     worlds: MutableMapping[Any, Mission] = field(default_factory=dict)
 
     def world(self, hostiles: int | tuple[int, ...] | None = None, **reading: Any) -> Mission:
@@ -102,6 +108,8 @@ class Arm:
         Stages that are not booked: prior knowledge is made from them, the arm does not pay for them.
     settings
         What decides the arm beside its slug, as JSON; for arms that are not of this package.
+    mixed
+        Whether the policy is used as it is, outputs drawn in proportion; otherwise always by the heaviest output.
     """
 
     slug: str
@@ -115,6 +123,7 @@ class Arm:
     rows: bool = True
     unspent: tuple[str, ...] = ()
     settings: Any = None
+    mixed: bool = False
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", self.slug):
@@ -266,6 +275,22 @@ def _never_learning(on: Setup, policy: Policy | None) -> Curriculum:
     return Curriculum([stage], block=None)
 
 
+def _search(on: Setup) -> Curriculum:
+    """Search in drills, first without the inputs DL and GL, then with them; T is played, nothing is tried there."""
+    learner, task = PolicySearch(), on.mission.task
+    drills = on.world(tuple(hostile_candidates(on.mission.building)), drill=True)
+    generation = learner.population * learner.episodes
+    late = on.practice // 3 // generation * generation
+    stages = [Stage("drill", task.simplify(remove=["DL", "GL"]), drills, learner, trials=on.practice - late,
+                    rehearsal=True, key=DRILL_STAGE)]  # fmt: skip
+    if late:
+        stages.append(Stage("full-drill", task, drills, learner, trials=late, trust=6.0, rehearsal=True,
+                            key=FULL_DRILL_STAGE))  # fmt: skip
+    played = Fixed(replace(on.reinforcement, selection="exploration"))
+    stages.append(Stage("target", task, on.world(), played, trials=on.trials, key=TARGET_STAGE))
+    return Curriculum(stages, block=None)
+
+
 _OURS: dict[str, Any] = {"loss_signal": LOSS_SIGNAL, "selection": "pseudo-random"}
 _EXPLOITATION: dict[str, Any] = {"selection": "exploitation"}
 
@@ -388,8 +413,11 @@ DRILLS: tuple[Arm, ...] = (
       for slug, (label, start, drilling) in VARIANTS.items()),
 )  # fmt: skip
 
+#: What is ours, and handed over to users.
+SEARCH = Arm("search", "policy search in drills", "searches whole policies in practice with a hostile at every door; "
+             "meets the dangerous task with what it found", _search, drawn=True, mixed=True)  # fmt: skip
 #: Every arm by its slug.
-ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, *DRILLS)}
+ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, SEARCH, *DRILLS)}
 
 
 def arms_named(slugs: Iterable[str], known: Mapping[str, Arm] = ARMS) -> tuple[Arm, ...]:

@@ -29,11 +29,9 @@ from tasklift.building.team import Kind, parse_team
 from tasklift.checks import check_fields, number, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, output_file, read_bytes, read_document, write_atomically
+from tasklift.learning.chances import CERTIFY_STAGE
 from tasklift.plans.read import load_building
 from tasklift.tasks.policy import Policy
-
-#: Part of the random key of all certificates, and of nothing else.
-CERTIFY_STAGE = 6
 
 FORMAT = "tasklift-certificate"
 

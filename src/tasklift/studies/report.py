@@ -91,7 +91,7 @@ def ledger_rows(samples: Mapping[str, Sample], arms: Mapping[str, Arm] = ARMS) -
     """Return losses and steps by arm and stage, per map and seed, the price of the source task included."""
     rows: list[list[Any]] = []
     for slug, sample in samples.items():
-        for stage in ("source", "budget", "drill", "target"):
+        for stage in ("source", "budget", "drill", "full-drill", "target"):
             if stage in sample.spent:
                 trials, steps, losses = (float(value) for value in sample.spent[stage])
                 per_1000 = round(1000 * losses / steps, 2)

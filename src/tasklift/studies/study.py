@@ -30,16 +30,18 @@ from tasklift.learning.chances import GREEDY_STAGE
 from tasklift.learning.curriculum import Curriculum, CurriculumRun
 from tasklift.learning.learner import InTurn, Learner, Run
 from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
-from tasklift.studies.arms import ARMS, Arm, Setup, arms_named
+from tasklift.learning.search import PolicySearch
+from tasklift.studies.arms import ARMS, PRACTICE, Arm, Setup, arms_named
 from tasklift.tasks.policy import Policy
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import SearchOutcomes, Trace
 
-#: The policy that a cell ends with is used for this many trials without learning, always its heaviest output: on its
-#: own map, and on one that it has never seen.
+#: The policy that a cell ends with is used for this many trials without learning, always its heaviest output (or as it
+#: is, where the arm's policies are mixed): on its own map, and on one that it has never seen.
 GREEDY_TRIALS = 5
 GREEDY = Fixed(Reinforcement(selection="exploitation"))
+MIXED = Fixed(Reinforcement(selection="exploration"))
 #: Worlds that are kept of a building. One is compiled in half a millisecond and takes 0.15 MB.
 WORLDS_KEPT = 200
 #: What the rows of a trial may hold.
@@ -99,11 +101,14 @@ class Record:
         Of these stages; empty: of all.
     policy
         Whether the learned policy is used greedily afterwards, and its weights are summed up.
+    weights
+        Whether the learned policy's weights are kept as well.
     """
 
     columns: tuple[str, ...] = COLUMNS
     stages: tuple[str, ...] = ()
     policy: bool = True
+    weights: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +129,8 @@ class Study:
         On the full task T, for arms that do not say otherwise.
     repeats
         Traversals per output on the simple task V (44 outputs × 5 in the paper).
+    practice
+        Episodes of drills for the arm that searches.
     team, weapons_needed, limit
         As in :class:`tasklift.building.Mission`.
     unseen
@@ -158,6 +165,7 @@ class Study:
     axis: str = "reading"
     trials: int = 100
     repeats: int = 5
+    practice: int = PRACTICE
     team: str | Mapping[Kind, int] = "10+5"
     weapons_needed: int = 2
     limit: int = 600
@@ -203,6 +211,7 @@ class Study:
         object.__setattr__(self, "team", parse_team(self.team))
         whole_number(self.trials, "trials", 1)
         whole_number(self.repeats, "repeats", 1)
+        whole_number(self.practice, "practice", 1)
         for part in self.parts:
             for name in part.maps:
                 one_of(name, list(self.buildings), "maps")
@@ -237,7 +246,7 @@ class Study:
             place = self.buildings[building] if building in self.buildings else self.unseen[building]
             made = Mission(place, self.team, of.hostiles, of.reading, self.weapons_needed, self.limit)
             mission = worlds.setdefault((of.hostiles, of.reading), made)  # threads that come at once share one
-        return Setup(mission, of.reinforcement, self.trials, self.repeats, worlds)
+        return Setup(mission, of.reinforcement, self.trials, self.repeats, self.practice, worlds)
 
     def mission(self, condition: str, building: str) -> Mission:
         """Return T's world on one building under one condition, made at its first use."""
@@ -286,6 +295,8 @@ class Study:
         attachments: dict[str, Any] = {}
         if self.record.policy:
             attachments |= self._coverage(cell, run)
+            if self.record.weights:
+                attachments["weights"] = run.policy.weights
             if "target" in run.outcomes:
                 attachments["move_weights"] = move_weights(run.policy)
                 for name, place in self._tried(cell).items():
@@ -313,15 +324,21 @@ class Study:
         Raises
         ------
         TaskliftError
-            If there is no such stage, or it ends before that trial.
+            If there is no such stage, it ends before that trial, or it is a search, which keeps no candidates.
         """
         seed, curriculum = int(cell["seed"]), self.curriculum(cell)
         if stage in self._tried(cell):
             mission = self.mission(cell[self.axis], self._tried(cell)[stage])
             return mission.simulator.trace(
                 self.train(cell).policy, seed=seed, trial=trial, stage=GREEDY_STAGE,
-                reinforcement=GREEDY.reinforcement, learn=False,
+                reinforcement=self._use(cell).reinforcement, learn=False,
             )  # fmt: skip
+        searched = next((s for s in curriculum.stages if s.name == stage and isinstance(s.learner, PolicySearch)), None)
+        if searched is not None:
+            raise TaskliftError(
+                f"stage {stage!r} is a search: each of its episodes is played by a candidate that is not kept; replay "
+                "the stage target, or greedy"
+            )
         policy = curriculum.policy_at(seed, stage, trial, shared=self._shared(cell))
         number = [one.name for one in curriculum.stages].index(stage)
         played = curriculum.stages[number]
@@ -353,7 +370,11 @@ class Study:
 
     def _greedily(self, cell: Cell, building: str, policy: Policy) -> Any:
         mission = self.mission(cell[self.axis], building)
-        return GREEDY.learn(mission, policy, Run(int(cell["seed"]), GREEDY_STAGE, trials=GREEDY_TRIALS)).outcomes
+        run = Run(int(cell["seed"]), GREEDY_STAGE, trials=GREEDY_TRIALS)
+        return self._use(cell).learn(mission, policy, run).outcomes
+
+    def _use(self, cell: Cell) -> Fixed:
+        return MIXED if self.arms[cell["arm"]].mixed else GREEDY
 
     def _coverage(self, cell: Cell, run: CurriculumRun) -> dict[str, Any]:
         """Return what V taught about CA, where the arm has learned V."""
@@ -392,6 +413,7 @@ class Study:
                 "otherwise": dataclasses.asdict(Condition()),
                 "trials": self.trials,
                 "repeats": self.repeats,
+                "practice": self.practice,
                 "team": [[kind.name, kind.speed_mm, kind.armed, n] for kind, n in self.team.items()],  # type: ignore[union-attr]
                 "weapons_needed": self.weapons_needed,
                 "limit": self.limit,
@@ -438,9 +460,9 @@ class Study:
                 axis=axis,
                 team={Kind(name, speed, armed): n for name, speed, armed, n in settings["team"]},
                 unseen={name: _building(folder, name, of) for name, of in settings["unseen"].items()},
-                record=Record(tuple(kept["columns"]), tuple(kept["stages"]), kept["policy"]),
+                record=Record(tuple(kept["columns"]), tuple(kept["stages"]), kept["policy"], kept["weights"]),
                 arms=arms,
-                **{key: settings[key] for key in ("trials", "repeats", "weapons_needed", "limit")},
+                **{key: settings[key] for key in ("trials", "repeats", "practice", "weapons_needed", "limit")},
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             if isinstance(error, TaskliftError):

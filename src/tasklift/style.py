@@ -94,6 +94,7 @@ LOOKS: Mapping[str, Look] = {
     "copy-drill": Look("sky", "dashed"),
     "drill": Look("sky"),
     "every-door": Look("violet", "dashed"),
+    "search": Look("brown"),
     "expert": Look("grey", "dash-dot"),
     "random": Look("grey", "dotted"),
     "move": Look("violet"),

@@ -68,13 +68,14 @@ def test_help_loads_nothing_heavy():
 
 
 def test_train_leaves_policies_rows_and_a_report(tasklift, building):
-    code, out, _ = tasklift("train", building, *SMALL, "--out", "run")
+    quick = ("train", building, *SMALL, "--practice", 2000, "--out", "run")
+    code, out, _ = tasklift(*quick)
     assert code == 0
-    assert "policy to take" in out
+    assert out.startswith("ready: policy.json solves ")
     assert {p.name for p in Path("run").iterdir()} >= {"policy.json", "policies", "rows.csv", "report.html", FILE_NAME}
     assert Policy.load("run/policy.json", search_and_clear()).weights.shape == (90, 44)
     first = Path("run/policy.json").read_bytes()
-    code, _, _ = tasklift("train", building, *SMALL, "--out", "run")  # resumes: everything is there
+    code, _, _ = tasklift(*quick)  # resumes: everything is there
     assert code == 0
     assert Path("run/policy.json").read_bytes() == first
     code, out, _ = tasklift("policy", "show", "run/policy.json")
@@ -186,10 +187,12 @@ def test_training_takes_any_arms_and_refuses_unknown_ones(tasklift, building):
     asked = ("train", building, *SMALL, "--team", "2+2", "--limit", 40, "--out", "run")
     code, out, _ = tasklift(*asked, "--arms", "direct-400-q90, every-door-300-q90")
     assert code == 0
-    assert "every-door drill 300, q = .9 against direct, 400 trials, q = .9" in out
+    assert "none is ready: the best policy (" in out
+    assert "400 trials, q = .9" in out
+    assert "every-door drill 300, q = .9" in out
     command = (
         f"tasklift train {building} --team 2+2 --hostiles 1 --weapons-needed 2 --limit 40 --preset scattered "
-        "--arms direct-400-q90,every-door-300-q90 --seeds 1 --trials 3 --out run"
+        "--arms direct-400-q90,every-door-300-q90 --seeds 1 --trials 3 --practice 36000 --ready 0.95 --out run"
     )
     assert command in Path("run/report.html").read_text()
     for arms, says in (("direct,evry-door-300-q90", "every-door-300-q90"), ("random", "learns"), ("a,,b", "commas")):

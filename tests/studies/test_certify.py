@@ -140,7 +140,8 @@ def files(tmp_path: Path) -> Path:
 
 
 def test_a_certificate_is_recomputed(files: Path) -> None:
-    says, path = certify(files / "policy.json", team="4+5", hostiles=(1, 2), episodes=400)
+    made = certify(files / "policy.json", team="4+5", hostiles=(1, 2), episodes=400)
+    says, path = made.says, made.path
     assert says.startswith("99 % sure: at most 1 episode on this building in ")
     assert path == files / "policy-certificate.json"
     assert path.stat().st_size < 2500
@@ -153,7 +154,7 @@ def test_a_certificate_is_recomputed(files: Path) -> None:
 
 
 def test_a_certificate_on_unseen_buildings_is_recomputed(files: Path) -> None:
-    _, path = certify(files / "policy.json", buildings="6-7-2", team="3+4", episodes=10, confidence=0.9)
+    path = certify(files / "policy.json", buildings="6-7-2", team="3+4", episodes=10, confidence=0.9).path
     assert verify(path)
 
 
@@ -173,7 +174,7 @@ def test_a_certificate_on_unseen_buildings_is_recomputed(files: Path) -> None:
     ],
 )
 def test_a_certificate_that_was_changed_does_not_hold(files: Path, change, message: str) -> None:
-    _, path = certify(files / "policy.json", team="4+5", episodes=200)
+    path = certify(files / "policy.json", team="4+5", episodes=200).path
     document = json.loads(path.read_text())
     change(document)
     path.write_text(json.dumps(document))

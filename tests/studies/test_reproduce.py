@@ -178,8 +178,8 @@ def test_the_arms_start_where_they_say():
 
 
 def test_the_expert_stops_at_doors_until_enough_weapon_robots_are_there():
-    task = search_and_clear()
-    policy = expert(task)
+    mission = study().mission("scattered", "house")
+    task, policy = mission.task, expert(mission)
     for row in range(task.shape[0]):
         seen = task.input_values(row)
         does = task.output_values(policy.select(row, rng=np.random.default_rng(0)))

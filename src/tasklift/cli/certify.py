@@ -41,6 +41,6 @@ def certify_command(policy: Path | None, verify: Path | None, **options: Any) ->
     if policy is None:
         raise click.UsageError("expected a policy, or --verify and a certificate")
     with progress() as show:
-        says, written = certify.certify(policy, progress=show, **options)
-    say(says)
-    say(f"certificate: {written}")
+        made = certify.certify(policy, progress=show, **options)
+    say(made.says)
+    say(f"certificate: {made.path}")

@@ -87,14 +87,16 @@ def drills(choose: bool, **options: Any) -> None:
     "--arms",
     type=Names(),
     help="Methods (arms) by name, drills among them, such as direct-400-q90,every-door-300-q90.  "
-    "[default: random,expert,direct,copy,prior,copy-prior]",
+    "[default: search,expert,direct,copy,copy-prior]",
 )
-@click.option("--seeds", type=positive, default=5, show_default=True, help="Independent runs.")
+@click.option("--seeds", type=positive, default=3, show_default=True, help="Independent runs.")
 @click.option("--trials", type=positive, default=100, show_default=True, help="Episodes (trials) on the full task.")
+@click.option("--practice", type=positive, default=36_000, show_default=True, help="Safe episodes of the search.")
+@click.option("--ready", type=float, default=0.95, show_default=True, help="Share solved from which a policy is ready.")
 @folder(help="Folder for policies and report.  [default: runs/BUILDING]")
 @running
 def train(**options: Any) -> None:
-    """Learn on your own building (.json or .graph): policy files and the verdict."""
+    """Learn on your own building: the best policy, certified; or that none is ready, why, and what would do."""
     from tasklift.studies.train import train as run
 
     with progress() as show:

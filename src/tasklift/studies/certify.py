@@ -289,6 +289,17 @@ def statement(counts: Counts, bounds: Bounds, confidence: float, unit: str) -> s
 # -- files -------------------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Certified:
+    """A certificate: what it says in one line, its file, and the numbers."""
+
+    says: str
+    path: Path
+    counts: Counts
+    bounds: Bounds
+    confidence: float
+
+
 def certify(
     policy: Path,
     *,
@@ -305,7 +316,7 @@ def certify(
     out: Path | None = None,
     force: bool = False,
     progress: Progress | None = None,
-) -> tuple[str, Path]:
+) -> Certified:
     """Certify a policy file and write the certificate.
 
     Parameters
@@ -331,8 +342,8 @@ def certify(
 
     Returns
     -------
-    (str, Path)
-        What it says, in one line; and its file.
+    Certified
+        What it says, and its file.
 
     Raises
     ------
@@ -369,7 +380,7 @@ def certify(
         "bounds": asdict(bounds),
     }
     write_atomically(target, json.dumps(document, indent=1, ensure_ascii=False) + "\n", replace=force)
-    return says, target
+    return Certified(says, target, counts, bounds, confidence)
 
 
 def verify(certificate: Path, progress: Progress | None = None) -> str:

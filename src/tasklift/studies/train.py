@@ -1,32 +1,69 @@
-"""The same experiment on a user's own building: policy files to take away, and the verdict."""
+"""Training on a user's own building: the best policy there is, certified; or the word that none is ready, and why."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tasklift import stats
-from tasklift.building.graph import Building
+from tasklift import style
+from tasklift.building.least import least_steps
+from tasklift.building.mission import Mission
 from tasklift.building.reading import PRESETS
-from tasklift.checks import one_of
+from tasklift.checks import number, one_of
 from tasklift.errors import TaskliftError
 from tasklift.files import output_folder
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import export
+from tasklift.learning.chances import CHOICE_STAGE
+from tasklift.learning.reinforcement import Fixed
 from tasklift.plans.read import load_building
 from tasklift.report import pictures
 from tasklift.report.page import Report
 from tasklift.studies import report
-from tasklift.studies.arms import ARMS
+from tasklift.studies.arms import ARMS, PRACTICE, Arm
+from tasklift.studies.certify import Certified, certify, quantile_bound
 from tasklift.studies.claims import indirect
 from tasklift.studies.paper import figures
+from tasklift.studies.readiness import advice, diagnose
 from tasklift.studies.samples import Sample
-from tasklift.studies.study import Condition, Study
+from tasklift.studies.study import Condition, Record, Study
+from tasklift.tasks.policy import Policy
 
-TRAINED = ("random", "expert", "direct", "copy", "prior", "copy-prior")
+TRAINED = ("search", "expert", "direct", "copy", "copy-prior")
+#: Fresh episodes on T by which the policies are compared, the same ones for all.
+CHOICE_EPISODES = 500
+#: Policies this close in the share solved, and in robots lost per episode, count as equally good.
+TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A policy to hand over, and what it did in :data:`CHOICE_EPISODES` fresh episodes on T.
+
+    Attributes
+    ----------
+    arm, seed
+        Where it comes from.
+    policy
+        Outputs are drawn in proportion. One of an arm that is used greedily has only its heaviest outputs.
+    solved, lost, steps
+        Means per episode: the share solved, robots lost, steps.
+    """
+
+    arm: Arm
+    seed: int
+    policy: Policy
+    solved: float
+    lost: float
+    steps: float
+
+    def __str__(self) -> str:
+        lost = f"loses {100 * self.lost:.1f} robots per 100 episodes"
+        return f"solves {_percent(self.solved)}, {lost}, {self.steps:.0f} steps"
 
 
 def train(
@@ -38,14 +75,16 @@ def train(
     limit: int = 600,
     preset: str = "scattered",
     arms: Sequence[str] = TRAINED,
-    seeds: int = 5,
+    seeds: int = 3,
     trials: int = 100,
+    practice: int = PRACTICE,
+    ready: float = 0.95,
     out: Path | None = None,
     command: str = "",
     progress: Progress | None = None,
     **engine: Any,
 ) -> tuple[list[str], Path]:
-    """Train arms on one building.
+    """Train arms on one building, and hand over the best policy if it is ready.
 
     Parameters
     ----------
@@ -59,6 +98,10 @@ def train(
         Slugs; at least one that learns.
     seeds, trials
         How many; trials on T, for arms that do not say otherwise.
+    practice
+        Episodes of drills for the arm that searches.
+    ready
+        The share of episodes that a policy must solve to be handed over, above 0.
     out
         Folder; default ``runs/`` and the building's file name.
     command
@@ -69,7 +112,7 @@ def train(
     Returns
     -------
     (list of str, Path)
-        The verdict in a few lines, and the path of ``report.html``.
+        The result in a few lines, the most important one first; and the path of ``report.html``.
 
     Raises
     ------
@@ -78,88 +121,224 @@ def train(
     """
     place = load_building(building)
     rules = PRESETS[one_of(preset, list(PRESETS), "preset")]
+    number(ready, "ready", 0.0, 1.0, above=True)
     study = Study.every(
-        {building.stem: place},
-        {preset: Condition(rules, hostiles=hostiles)},
-        arms,
-        seeds=seeds,
-        trials=trials,
-        team=team,
-        weapons_needed=weapons_needed,
-        limit=limit,
-    )
+        {building.stem: place}, {preset: Condition(rules, hostiles=hostiles)}, arms, seeds=seeds, trials=trials,
+        practice=practice, team=team, weapons_needed=weapons_needed, limit=limit, record=Record(weights=True),
+    )  # fmt: skip
     if not any(study.arms[slug].learns for slug in arms):
-        raise TaskliftError("arms: none of those named learns; add direct or copy-prior")
+        raise TaskliftError("arms: none of those named learns; add search, direct or copy-prior")
     folder = output_folder(out if out is not None else Path("runs") / building.stem, (FILE_NAME,))
     with Store.open(folder / FILE_NAME, study.spec(f"training on {building.name}")) as store:
         run(store, study.cells(), study.work, progress=progress, **engine)
-        samples = {slug: Sample.of(store, slug, reading=preset) for slug in arms}
         export(folder, folder / "rows.csv")
-        report.save_policies(study, folder / "policies", preset, building.stem)
-        best = recommended(samples)
-        study.train(study.cell(preset, building.stem, 0, best)).policy.save(folder / "policy.json")
+        samples = {slug: Sample.of(store, slug, reading=preset) for slug in arms}
+        # hostiles stand somewhere else in every episode: nobody knows where they will be
+        mission = study.mission(preset, building.stem).with_reading(relocate=True)
+        found = candidates(study, store, mission)
+        price = {slug: _price(study, preset, building.stem, slug) for slug in arms}
         place.save(folder / "building.json")
-        lines = verdict_lines(samples, best, folder)
+        _save_points(found, ready, folder / "policies")
+        asked = {"team": team, "hostiles": (hostiles,), "weapons_needed": weapons_needed, "limit": limit}
+        best = chosen(found)
+        if best.solved >= ready:
+            lines = [_handed_over(best, mission, price[best.arm.slug], folder, asked | {"preset": preset})]
+        else:
+            lines = _not_ready(best, mission, ready, folder, progress)
+        lines += comparison(found, samples, price, best)
         path = folder / "report.html"
-        _report(place, store, samples, preset, lines, command, folder).write(path)
+        page = _report(mission, samples, found, price, ready, lines, preset, folder)
+        report.add_settings(page, store, command)
+        page.write(path)
     return lines, path
 
 
-def recommended(samples: Mapping[str, Sample]) -> str:
-    """Return the learning arm whose policy, used greedily, loses the fewest robots; of equals the fastest."""
-    return min(
-        (slug for slug in samples if ARMS[slug].learns),
-        key=lambda slug: (
-            round(float(samples[slug].greedy_losses.mean()), 1),
-            samples[slug].greedy_steps.mean(),
-        ),
+def _handed_over(best: Candidate, mission: Mission, price: Price, folder: Path, asked: dict[str, Any]) -> str:
+    """Write the policy and its certificate; return the headline."""
+    best.policy.save(folder / "policy.json")
+    made = certify(
+        folder / "policy.json", building=folder / "building.json", out=folder / "certificate.json", force=True, **asked
+    )
+    return headline(made, best, mission, price)
+
+
+def _not_ready(best: Candidate, mission: Mission, ready: float, folder: Path, progress: Progress | None) -> list[str]:
+    """Hand over nothing; return why, and what would help."""
+    for stale in ("policy.json", "certificate.json"):
+        (folder / stale).unlink(missing_ok=True)
+    return [
+        f"none is ready: the best policy ({best.arm.label}) {best}; ready means {_percent(ready)} solved",
+        *diagnose(mission, best.policy),
+        *advice(mission, ready, progress),
+    ]
+
+
+# ---------------------------------------------------------------- the choice
+
+
+def candidates(study: Study, store: Store, mission: Mission) -> list[Candidate]:
+    """Return what every arm that is not random ended with, for every seed, tried in the same fresh episodes."""
+    kept = [
+        (study.arms[cell["arm"]], int(cell["seed"]), result.attachments["weights"])
+        for cell, result in store.select(attachments=True)
+        if cell["arm"] != "random"
+    ]
+    tables = np.stack([weights if arm.mixed else _heaviest(weights) for arm, _, weights in kept])
+    outcomes = mission.evaluate(tables, CHOICE_EPISODES, stage=CHOICE_STAGE)
+    return [
+        Candidate(
+            arm, seed, Policy(mission.task, table, {"learned_by": arm.label, "arm": arm.slug, "seed": seed}),
+            float(outcomes.success[k].mean()), float(outcomes.losses[k].mean()), float(outcomes.steps[k].mean()),
+        )
+        for k, ((arm, seed, _), table) in enumerate(zip(kept, tables, strict=True))
+    ]  # fmt: skip
+
+
+def _heaviest(weights: np.ndarray) -> np.ndarray:
+    return (weights == weights.max(axis=1, keepdims=True)).astype(np.float64)
+
+
+def chosen(found: Sequence[Candidate]) -> Candidate:
+    """Return the best candidate: solved counts first, then robots lost, then steps; near ties go to the next."""
+    most = max(c.solved for c in found)
+    good = [c for c in found if c.solved >= most - TOLERANCE]
+    least = min(c.lost for c in good)
+    return min((c for c in good if c.lost <= least + TOLERANCE), key=lambda c: (c.steps, c.arm.slug, c.seed))
+
+
+def frontier(found: Sequence[Candidate], ready: float) -> list[Candidate]:
+    """Return the ready candidates than which none is both faster and safer, the fastest first."""
+    points: list[Candidate] = []
+    for c in sorted((c for c in found if c.solved >= ready), key=lambda c: (c.steps, c.lost)):
+        if not points or c.lost < points[-1].lost:
+            points.append(c)
+    return points
+
+
+def _save_points(found: Sequence[Candidate], ready: float, folder: Path) -> None:
+    """Save the best policy of every arm, and the points of the frontier."""
+    folder.mkdir(exist_ok=True)
+    for arm in {c.arm.slug: c.arm for c in found}.values():
+        chosen([c for c in found if c.arm is arm]).policy.save(folder / f"{arm.slug}.json")
+    for k, point in enumerate(frontier(found, ready), start=1):
+        point.policy.save(folder / f"frontier-{k}.json")
+
+
+# ---------------------------------------------------------------- the words
+
+
+@dataclass(frozen=True)
+class Price:
+    """Episodes from which an arm learns: safe ones (no hostiles, or harmless ones) and dangerous ones."""
+
+    safe: int
+    dangerous: int
+
+
+def _price(study: Study, condition: str, building: str, slug: str) -> Price:
+    stages = [
+        (stage, stage.trials or stage.learner.trials(stage.task))  # type: ignore[attr-defined]
+        for stage in study.curriculum(study.cell(condition, building, 0, slug)).stages
+        if not isinstance(stage.learner, Fixed)
+    ]
+    hostiles = [stage.world.n_hostiles for stage, _ in stages]  # type: ignore[union-attr]
+    safe = sum(n for (stage, n), here in zip(stages, hostiles, strict=True) if stage.rehearsal or not here)
+    return Price(safe, sum(n for _, n in stages) - safe)
+
+
+def headline(certificate: Certified, best: Candidate, mission: Mission, price: Price) -> str:
+    """Say what the policy that is handed over does, how sure that is, and what it cost."""
+    counts, bounds = certificate.counts, certificate.bounds
+    n = counts.episodes
+    return (
+        f"ready: policy.json solves {_percent(counts.solved / n)} of episodes (at least "
+        f"{_percent(bounds.solved_at_least)}) and loses {100 * counts.lost / n:.2f} robots per 100 episodes (at most "
+        f"{bounds.lost_per_100_at_most:.2f}; both {100 * certificate.confidence:g} % sure), in {counts.steps / n:.0f} "
+        f"steps (at least {least_steps(mission)} are needed); made by {best.arm.label} from {price.safe:,} safe and "
+        f"{price.dangerous:,} dangerous episodes"
     )
 
 
-def verdict_lines(samples: Mapping[str, Sample], best: str, folder: Path) -> list[str]:
-    """Say what the transfer brought on this building, and which policy to take."""
+def comparison(
+    found: Sequence[Candidate], samples: Mapping[str, Sample], price: Mapping[str, Price], best: Candidate
+) -> list[str]:
+    """Say in one line each what the other arms came to, and what their learning cost."""
     lines = []
-    for arm in indirect(samples):
-        reference = next((slug for slug in ARMS[arm].against if slug in samples), None)
-        if reference is None:
+    for slug, sample in samples.items():
+        mine = [c for c in found if c.arm.slug == slug]
+        if not mine or slug == best.arm.slug:
             continue
-        a, b = samples[arm], samples[reference]
-        lost = stats.paired_difference(a.losses.mean(axis=1), b.losses.mean(axis=1))
-        steps = stats.paired_difference(a.steps.mean(axis=1), b.steps.mean(axis=1))
-        lines.append(
-            f"{ARMS[arm].label} against {ARMS[reference].label} while learning: robots lost a trial "
-            f"{a.losses.mean():.1f} against {b.losses.mean():.1f} (difference {lost}), steps {a.steps.mean():.0f} "
-            f"against {b.steps.mean():.0f} (difference {steps})"
-        )
-    sample = samples[best]
-    lines.append(
-        f"policy to take: {folder / 'policy.json'} (arm {ARMS[best].label}; greedily "
-        f"{sample.greedy_steps.mean():.0f} steps and {sample.greedy_losses.mean():.1f} robots lost a trial)"
-    )
-    if float(np.mean([s.success.mean() for s in samples.values()])) < 0.1:
-        lines.append(
-            f"hardly any trial was solved within {sample.limit} steps: give --limit a larger number or the team more "
-            "weapon robots (every door where one waits alone needs another)"
-        )
+        cost = ""
+        if ARMS[slug].learns:
+            cost = f"; it learned from {price[slug].safe:,} safe and {price[slug].dangerous:,} dangerous episodes"
+        if price[slug].dangerous:
+            lost = sample.losses.sum(axis=1)
+            cost += f", which cost {lost.mean():.0f} robots"
+            if (bound := quantile_bound(lost)) is not None:
+                cost += f" (95 % of runs lose at most {bound:.0f}, 95 % sure)"
+        lines.append(f"{ARMS[slug].label}: its best policy {chosen(mine)}{cost}")
     return lines
 
 
+def _percent(share: float) -> str:
+    return f"{np.floor(1000 * share + 1e-9) / 10:g} %"
+
+
+# ---------------------------------------------------------------- the report
+
+
+@pictures.styled
+def frontier_figure(found: Sequence[Candidate], ready: float) -> Any:
+    """Draw steps against robots lost of all candidates, and the frontier of the ready ones."""
+    figure = pictures.page(6.0, 3.6)
+    axes = figure.subplots()
+    for arm in {c.arm.slug: c.arm for c in found}.values():
+        mine = [c for c in found if c.arm is arm]
+        axes.scatter(
+            [c.steps for c in mine], [100 * c.lost for c in mine], s=[18 + 60 * c.solved for c in mine],
+            color=style.look(arm.slug).line["color"], label=arm.label, alpha=0.8,
+        )  # fmt: skip
+    points = frontier(found, ready)
+    axes.step([c.steps for c in points], [100 * c.lost for c in points], where="post", color="0.4", zorder=0)
+    for k, point in enumerate(points, start=1):
+        at = (point.steps, 100 * point.lost)
+        axes.annotate(f"frontier-{k}", at, xytext=(4, 4), textcoords="offset points", size=7)
+    axes.set_xlabel("steps per episode")
+    axes.set_ylabel("robots lost per 100 episodes")
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.set_ylim(bottom=-0.1)
+    axes.legend(fontsize=7)
+    return figure
+
+
 def _report(
-    place: Building,
-    store: Store,
+    mission: Mission,
     samples: Mapping[str, Sample],
-    preset: str,
+    found: Sequence[Candidate],
+    price: Mapping[str, Price],
+    ready: float,
     lines: Sequence[str],
-    command: str,
+    preset: str,
     folder: Path,
 ) -> Report:
-    page = Report(f"Training on {place.name}")
+    page = Report(f"Training on {mission.building.name}")
     page.verdict(*lines)
     (folder / "figures").mkdir(exist_ok=True)
-    picture, _ = pictures.save(figures.figure1(place), folder / "figures", "building")
+    picture, _ = pictures.save(frontier_figure(found, ready), folder / "figures", "frontier")
+    page.figure(picture, "Speed against safety: every policy learned, larger where it solves more. Each point of the "
+                "frontier is a file in `policies/`.")  # fmt: skip
+    headers = ["arm", "seed", "solved (%)", "robots lost per 100", "steps", "safe episodes", "dangerous episodes"]
+    rows = [
+        [c.arm.label, c.seed, round(100 * c.solved, 1), round(100 * c.lost, 1), round(c.steps),
+         price[c.arm.slug].safe, price[c.arm.slug].dangerous]
+        for c in found
+    ]  # fmt: skip
+    page.table(headers, rows, caption=f"Policies in {CHOICE_EPISODES} fresh episodes, hostiles placed afresh; at least "
+               f"{least_steps(mission)} steps are needed")  # fmt: skip
+    picture, _ = pictures.save(figures.figure1(mission.building), folder / "figures", "building")
     page.figure(picture, "The building as a plan and as its graph.")
     report.add_arms(page, samples)
-    page.table(*report.arm_table(samples), caption=f"Preset **{preset}**")
+    page.table(*report.arm_table(samples), caption=f"While learning on T, preset **{preset}**")
     page.section("Learning curves")
     report.add_curves(page, samples, preset)
     page.section("Stop or move, by the feature faced")
@@ -167,5 +346,4 @@ def _report(
         report.add_move_weights(page, samples[arm], ARMS[arm].label)
     page.section("The ledger: what was spent and lost, by stage")
     page.table(report.LEDGER_HEADERS, report.ledger_rows(samples), caption="Per seed")
-    report.add_settings(page, store, command)
     return page

@@ -2,7 +2,7 @@
 
 The digests cover what rows held then. What cells keep beside that today is left out here: the weights of CA are kept
 of every arm that learns V, where only ``copy`` had them; and the multiverse no longer rounds its mean weights to 32
-bits.
+bits. The expert's digests were recorded anew when the reference became the best of a small family.
 """
 
 from __future__ import annotations

@@ -82,10 +82,10 @@ class PolicySearch:
     population: int = 100
     episodes: int = 4
     elite: float = 0.2
-    rate: float = 0.5
+    rate: float = 0.3
     concentration: float = 2.0
     loss_price: float = 1.0
-    step_price: float = 0.3
+    step_price: float = 1.0
     cutoff: float = 0.03
 
     #: A run that is cut into shorter ones would lose unfinished generations.

@@ -295,7 +295,7 @@ def _never_learning(on: Setup, policy: Policy | None) -> Curriculum:
     return Curriculum([stage], block=None)
 
 
-def _search(on: Setup) -> Curriculum:
+def searching(on: Setup) -> Curriculum:
     """Search in drills, first without the inputs DL and GL, then with them; T is played, nothing is tried there."""
     learner, task = PolicySearch(), on.mission.task
     drills = on.world(tuple(hostile_candidates(on.mission.building)), drill=True)
@@ -435,7 +435,7 @@ DRILLS: tuple[Arm, ...] = (
 
 #: What is ours, and handed over to users.
 SEARCH = Arm("search", "policy search in drills", "searches whole policies in practice with a hostile at every door; "
-             "meets the dangerous task with what it found", _search, drawn=True, mixed=True)  # fmt: skip
+             "meets the dangerous task with what it found", searching, drawn=True, mixed=True)  # fmt: skip
 #: Every arm by its slug.
 ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, SEARCH, *DRILLS)}
 

@@ -38,6 +38,7 @@ _ELSEWHERE = {
     ),
     "reproduce": ("tasklift.cli.experiments", "reproduce", "Reproduce the paper: figures, claims, report.html."),
     "runs": ("tasklift.cli.runs", "runs_group", "List, show, compare and export experiments."),
+    "team": ("tasklift.cli.team", "team_command", "Say which team a building needs."),
     "train": ("tasklift.cli.experiments", "train", "Learn on your own building: the best policy there is, certified."),
     "watch": ("tasklift.cli.watch", "watch_command", "Replay trials in the browser."),
 }

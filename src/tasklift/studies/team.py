@@ -1,0 +1,174 @@
+"""Which team is needed: sizes of teams against what the best policy found for each does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tasklift.building.least import least_steps
+from tasklift.building.mission import Mission
+from tasklift.building.reading import PRESETS
+from tasklift.checks import number, one_of, whole_number
+from tasklift.errors import TaskliftError
+from tasklift.files import output_folder
+from tasklift.lab import FILE_NAME, Cell, CellResult, Progress, Spec, Store, run
+from tasklift.learning.chances import CHOICE_STAGE
+from tasklift.learning.curriculum import Curriculum
+from tasklift.plans.read import load_building
+from tasklift.report import pictures
+from tasklift.report.page import Report
+from tasklift.studies import report
+from tasklift.studies.arms import Setup, expert, searching
+
+#: Episodes of practice per team, and fresh episodes by which a team's policies are judged.
+PRACTICE, JUDGED = 12_000, 500
+
+
+def team(
+    *,
+    building: Path,
+    scouts: Sequence[int] = (10,),
+    weapons: Sequence[int] = (2, 3, 5, 8, 12, 18),
+    hostiles: int = 1,
+    weapons_needed: int = 2,
+    limit: int = 600,
+    preset: str = "scattered",
+    practice: int = PRACTICE,
+    ready: float = 0.95,
+    out: Path | None = None,
+    command: str = "",
+    progress: Progress | None = None,
+    **engine: Any,
+) -> tuple[list[str], Path]:
+    """Search a policy for every size of team, and say which is the smallest that is ready.
+
+    Parameters
+    ----------
+    building
+        File of the building.
+    scouts, weapons
+        Numbers of scouts and of weapon robots; every combination is tried.
+    hostiles, weapons_needed, limit
+        As in :class:`tasklift.building.Mission`.
+    preset
+        ``scattered`` or ``cohesive``.
+    practice
+        Episodes of drills per team.
+    ready
+        The share of episodes that a team must solve.
+    out
+        Folder; default ``runs/``, the building's file name and ``-team``.
+    command
+        The line that runs this again, for the report.
+    progress, engine
+        As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
+
+    Returns
+    -------
+    (list of str, Path)
+        The result in a few lines; and the path of ``report.html``.
+
+    Raises
+    ------
+    TaskliftError
+        Before anything is trained or overwritten.
+    """
+    place = load_building(building)
+    number(ready, "ready", 0.0, 1.0, above=True)
+    whole_number(practice, "practice", 400)
+    reading = replace(PRESETS[one_of(preset, list(PRESETS), "preset")], relocate=True)
+    missions = {
+        f"{s}+{w}": Mission(place, f"{s}+{w}", hostiles, reading, weapons_needed, limit)
+        for s in sorted(set(scouts))
+        for w in sorted(set(weapons))
+        if w >= weapons_needed or not hostiles
+    }
+    if not missions:
+        raise TaskliftError(f"weapons: a hostile needs {weapons_needed} weapon robots; name a larger number")
+    settings = {"building": place.content_id, "hostiles": hostiles, "weapons_needed": weapons_needed, "limit": limit,
+                "preset": preset, "practice": practice, "judged": JUDGED}  # fmt: skip
+    spec = Spec.of(f"teams for {place.name}", settings, {"team": list(missions)}, over=("team",))
+    folder = output_folder(out if out is not None else Path("runs") / f"{building.stem}-team", (FILE_NAME,))
+
+    def work(cell: Cell) -> CellResult:
+        return CellResult({}, judged(missions[cell["team"]], practice), {})
+
+    with Store.open(folder / FILE_NAME, spec) as store:
+        run(store, [Cell(team=name) for name in missions], work, progress=progress, **engine)
+        found = {cell["team"]: result.summary for cell, result in store.select() if cell["team"] in missions}
+        rows = [
+            [name, mission.n_robots, found[name]["by"], round(100 * found[name]["solved"], 1),
+             round(found[name]["steps"]), round(100 * found[name]["lost"], 1), least_steps(mission)]
+            for name, mission in missions.items()
+        ]  # fmt: skip
+        verdict = _verdict(rows, ready)
+        page = Report(f"Teams for {place.name}")
+        page.verdict(verdict)
+        (folder / "figures").mkdir(exist_ok=True)
+        picture, _ = pictures.save(_figure(rows, ready), folder / "figures", "teams")
+        page.figure(picture, "Share of episodes solved, by the number of weapon robots.")
+        page.table(HEADERS, rows, caption=f"{JUDGED} fresh episodes each, hostiles placed afresh")
+        report.add_settings(page, store, command)
+        page.write(folder / "report.html")
+    return [*(_line(row) for row in [HEADERS, *rows]), verdict], folder / "report.html"
+
+
+HEADERS = ["team", "robots", "policy", "solved (%)", "steps", "lost per 100", "steps needed"]
+
+
+def _line(row: Sequence[Any]) -> str:
+    return "".join(f"{cell!s:>{width}}" for cell, width in zip(row, (8, 8, 8, 12, 7, 14, 14), strict=True))
+
+
+def _verdict(rows: Sequence[Sequence[Any]], ready: float) -> str:
+    """Name the smallest team that is ready, the faster one of two; or the one that solves the most."""
+    enough = [row for row in rows if row[3] >= 100 * ready]
+    if not enough:
+        most = max(rows, key=lambda row: row[3])
+        return f"no team is ready: {most[0]} solves the most, {most[3]} % of {JUDGED} fresh episodes"
+    name, _, by, solved, steps, lost, _ = min(enough, key=lambda row: (row[1], row[4]))
+    return (
+        f"the smallest team that is ready: {name} solves {solved} % of {JUDGED} fresh episodes and loses {lost} robots "
+        f"per 100, in {steps} steps (policy: {by})"
+    )
+
+
+def judged(mission: Mission, practice: int) -> dict[str, Any]:
+    """Return what the better of two policies does with a team: searched in drills, or the hand-written reference.
+
+    Parameters
+    ----------
+    mission : Mission
+        The dangerous task, with this team.
+    practice : int
+        Episodes of drills.
+    """
+    drills = Curriculum(searching(Setup(mission, practice=practice)).stages[:-1], block=None)
+    policies = {"search": drills.run(seed=0).policy.extend(mission.task), "expert": expert(mission)}
+    outcomes = mission.evaluate(list(policies.values()), JUDGED, stage=CHOICE_STAGE)
+    solved, lost, steps = (np.mean(getattr(outcomes, name), axis=1) for name in ("success", "losses", "steps"))
+    best = int(np.lexsort((steps, lost, -np.round(solved, 2)))[0])
+    figures = {"solved": float(solved[best]), "lost": float(lost[best]), "steps": float(steps[best])}
+    return {"by": list(policies)[best]} | figures
+
+
+@pictures.styled
+def _figure(rows: Sequence[Sequence[Any]], ready: float) -> Any:
+    figure = pictures.page(6.0, 3.4)
+    axes = figure.subplots()
+    by_scouts: dict[int, list[tuple[int, float]]] = {}
+    for row in rows:
+        scouts, weapons = (int(n) for n in row[0].split("+"))
+        by_scouts.setdefault(scouts, []).append((weapons, row[3]))
+    for scouts, points in by_scouts.items():
+        axes.plot(*zip(*points, strict=True), marker="o", label=f"{scouts} scouts")
+    axes.axhline(100 * ready, color="0.5", linewidth=0.8, linestyle="--")
+    axes.set_xlabel("weapon robots")
+    axes.set_ylabel("episodes solved (%)")
+    axes.set_ylim(-3, 103)
+    axes.legend()
+    return figure

@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 ARGS   ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo chromium test test-slow fuzz bench docs format clean
+.PHONY: help demo chromium test test-slow fuzz bench instructions docs format clean
 
 help:  ## say what each target does
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -40,7 +40,10 @@ fuzz: $(STAMP)  ## give every reader 100,000 damaged files (ARGS="policy --runs 
 	$(BIN)/python tests/fuzz.py $(ARGS)
 
 bench: $(STAMP)  ## measure speed; prints ratios within one run
-	for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file $(ARGS) || exit 1; done
+	for file in $(filter-out %/instructions.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python $$file $(ARGS) || exit 1; done
+
+instructions: $(STAMP)  ## count the simulator's machine instructions with valgrind, and compare with the record
+	$(BIN)/python benchmarks/instructions.py $(ARGS)
 
 docs: $(STAMP)  ## build the documentation into site/
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'

@@ -13,7 +13,9 @@ from tasklift.tasks import choice as rules
 
 PROPERTY = settings(deadline=None, derandomize=True, max_examples=200)
 ALMOST_ONE = np.nextafter(1.0, 0.0)
-COMPILED = {name: numba.njit(getattr(rules, name)) for name in ("total", "draw", "heaviest", "reinforce")}
+COMPILED = {
+    name: numba.njit(getattr(rules, name)) for name in ("total", "draw", "draw_summed", "heaviest", "reinforce")
+}
 
 rows = st.lists(st.floats(0, 1e12), min_size=1, max_size=50).map(np.array)
 tied_rows = st.lists(st.sampled_from([0.0, 1.0, 1.5]), min_size=1, max_size=50).map(np.array)
@@ -25,6 +27,9 @@ chances = st.floats(0, 1, exclude_max=True) | st.sampled_from([0.0, ALMOST_ONE, 
 def test_compiled_and_plain_rules_agree(row: np.ndarray, coin: float, u: float, greedy: float) -> None:
     drawn, most = rules.draw(row, u), rules.heaviest(row, u)
     assert COMPILED["draw"](row, u) == drawn
+    sums = np.array([rules.total(row, n + 1) for n in range(len(row))])
+    assert rules.draw_summed(row, sums, u) == drawn
+    assert COMPILED["draw_summed"](row, sums, u) == drawn
     assert COMPILED["heaviest"](row, u) == most
     assert COMPILED["total"](row, len(row)) == rules.total(row, len(row))
     assert rules.select(row, greedy, coin, u) == (most if coin < greedy else drawn)
@@ -43,6 +48,7 @@ def test_draw_inverts_the_running_sum() -> None:
 def test_no_weight_zero_at_the_end_of_a_sum_that_rounds() -> None:
     # u * sum rounds up to the sum itself for a subnormal sum, so no running sum exceeds it
     row = np.array([5e-324, 0.0])
+    assert rules.draw_summed(row, row.cumsum(), ALMOST_ONE) == 0
     assert rules.draw(row, ALMOST_ONE) == 0
     assert COMPILED["draw"](row, ALMOST_ONE) == 0
 

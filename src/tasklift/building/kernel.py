@@ -23,9 +23,10 @@ from tasklift.tasks import choice as scalar
 
 # Nothing here allocates, so no array's references need counting: left on, Numba's atomic counters take half of the
 # time. The option is private to Numba but used in its own sources; without it all is the same, only slower.
-_UNCOUNTED: dict[str, Any] = {"_nrt": False}
-_inline = njit(forceinline=True, **_UNCOUNTED)
-_entry = njit(nogil=True, cache=True, **_UNCOUNTED)
+# And nothing divides by zero, so no division needs a check.
+_UNCHECKED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
+_inline = njit(forceinline=True, **_UNCHECKED)
+_entry = njit(nogil=True, cache=True, **_UNCHECKED)
 
 # --- names of the numbers in `Rules` and `Learner`, and of what a step returns -----------------------------------
 
@@ -39,6 +40,7 @@ GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input th
 OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW = 0, 1, 2, 3  # the purpose of a draw
 
 _draw = _inline(scalar.draw)
+_draw_summed = _inline(scalar.draw_summed)
 _heaviest = _inline(scalar.heaviest)
 _reinforced = _inline(scalar.reinforce)
 
@@ -142,18 +144,38 @@ def wake(lane):
 
 
 @_inline
+def reinforce(learner, lane, row, out, signal):
+    """Change one weight; the row's running sums are stale from there on."""
+    lane.weights[row, out] = _reinforced(lane.weights[row, out], signal, learner.floor)
+    lane.stale[row] = min(lane.stale[row], out)
+
+
+@_inline
 def credit(learner, lane, row, out):
     """Book the use of (row, out) and apply its local signal at once (rules 17 and 19)."""
-    count, used = lane.count[0], lane.used
-    fresh = used[row, out] != count.trial
+    count = lane.count[0]
+    fresh = lane.used[row, out] == 0
     if fresh:
-        used[row, out] = count.trial
-        lane.pairs[count.used] = row * used.shape[1] + out
+        lane.used[row, out] = 1
+        lane.pairs[count.used] = row * lane.used.shape[1] + out
         count.used += 1
     if learner.learn == 1 and learner.sweep_all == 0 and (fresh or learner.once == 0):
         signal = learner.signal[row, out]
         if signal != 0.0:
-            lane.weights[row, out] = _reinforced(lane.weights[row, out], signal, learner.floor)
+            reinforce(learner, lane, row, out, signal)
+
+
+@_inline
+def draw_by_weight(lane, row, u):
+    """Draw an output in proportion to its weight, from sums that are brought up to date where they are stale."""
+    sums, weights, first = lane.sums[row], lane.weights[row], lane.stale[row]
+    if first < sums.shape[0]:
+        running = sums[first - 1] if first > 0 else 0.0
+        for out in range(first, sums.shape[0]):
+            running += weights[out]
+            sums[out] = running
+        lane.stale[row] = sums.shape[0]
+    return _draw_summed(weights, sums, u)
 
 
 @_inline
@@ -170,7 +192,7 @@ def draw_output(learner, lane, r):
         if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
             out = _heaviest(lane.weights[row], u)
         else:
-            out = _draw(lane.weights[row], u)
+            out = draw_by_weight(lane, row, u)
     robot.decisions += 1
     robot.out = out
     robot.pair_row = row
@@ -444,9 +466,7 @@ def encounter(rules, learner, lane):
         if engaged:
             count.losses += 1
             if learner.loss_signal != 0.0 and learner.learn == 1 and learner.sweep_all == 0:
-                lane.weights[robot.pair_row, robot.out] = _reinforced(
-                    lane.weights[robot.pair_row, robot.out], learner.loss_signal, learner.floor
-                )
+                reinforce(learner, lane, robot.pair_row, robot.out, learner.loss_signal)
             if rules.drill == 0:
                 robot.alive = 0
                 robot.died = count.tick
@@ -488,7 +508,7 @@ def _speed(world, learner, lane, r):
 def arrive(world, lane, r):
     """Take a robot in at the end of its corridor (rules 2 and 12)."""
     robot, count = lane.robots[r], lane.count[0]
-    half = world.halves[robot.half]
+    half = world.halves[np.uint32(robot.half)]
     robot.node = half.to
     robot.came = half.edge
     robot.half = -1
@@ -525,7 +545,7 @@ def move(world, learner, lane):
             touch(lane, robot.node)
             continue
         place = n_nodes + robot.half
-        if robot.progress >= world.halves[robot.half].cost_mm:
+        if robot.progress >= world.halves[np.uint32(robot.half)].cost_mm:
             if not leaving:
                 take_out(lane, r, place)
             arrive(world, lane, r)
@@ -543,7 +563,7 @@ def move(world, learner, lane):
 @_inline
 def touch(lane, place):
     """Have a place regrouped at the end of the step."""
-    count = lane.count[0]
+    count, place = lane.count[0], np.uint32(place)
     if lane.places[place].touched != count.tick:
         lane.places[place].touched = count.tick
         lane.touched[count.touched] = place
@@ -553,6 +573,7 @@ def touch(lane, place):
 @_inline
 def put_in(lane, r, place):
     """Enter a robot in the list of those at a place."""
+    place = np.uint32(place)
     robot, first = lane.robots[r], lane.places[place].first
     robot.before = -1
     robot.after = first
@@ -565,14 +586,15 @@ def put_in(lane, r, place):
 @_inline
 def take_out(lane, r, place):
     """Take a robot out of the list of those at a place."""
-    robot = lane.robots[r]
+    robot, place = lane.robots[r], np.uint32(place)
     if robot.before >= 0:
         lane.robots[robot.before].after = robot.after
     else:
         lane.places[place].first = robot.after
     if robot.after >= 0:
         lane.robots[robot.after].before = robot.before
-    touch(lane, place)
+    if lane.places[place].first >= 0:
+        touch(lane, place)
 
 
 @_inline
@@ -700,7 +722,7 @@ def plan(world, rules, learner, lane, place):
             pace = np.int64(0)
             if learner.outputs[robot.force].mv == 1:
                 pace = _speed(world, learner, lane, r)
-                way = world.halves[robot.half].cost_mm - robot.progress
+                way = world.halves[np.uint32(robot.half)].cost_mm - robot.progress
                 wakes = min(wakes, tick + (way + pace - 1) // pace)
             robot.pace = pace
             known = False
@@ -800,8 +822,10 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     """Put everyone at the start with an empty map; hide the hostiles."""
     count = lane.count[0]
     n_robots = world.members.shape[0]
-    count.trial += 1
     count.tick += 1
+    n_outputs = lane.used.shape[1]
+    for k in range(count.used):
+        lane.used[lane.pairs[k] // n_outputs, lane.pairs[k] % n_outputs] = 0
     count.step = 0
     count.alive = n_robots
     count.edges_left = lane.visited.shape[0]
@@ -858,22 +882,21 @@ def begin_trial(world, rules, lane, trial_key, place_key):
 @_entry
 def end_trial(rules, learner, lane, success, fixed, mean_steps):
     """Apply the global time signal (rules 18 and 19); return the trial's steps (a failure counts as the limit)."""
-    count, weights = lane.count[0], lane.weights
+    count = lane.count[0]
     steps = count.step if success else rules.limit
     if learner.learn == 0:
         return steps
     inverted = learner.time_reward * (1.0 - steps / rules.limit)
     if learner.sweep_all == 1:
-        for row in range(weights.shape[0]):
-            weights[row, fixed] = _reinforced(weights[row, fixed], learner.signal[row, fixed] + inverted, learner.floor)
+        for row in range(lane.weights.shape[0]):
+            reinforce(learner, lane, row, fixed, learner.signal[row, fixed] + inverted)
     elif learner.time_signal != TIME_NONE:
         signal = inverted
         if learner.time_signal == TIME_BASELINE:
             signal = 2.0 * learner.time_reward * (mean_steps - steps) / rules.limit if mean_steps >= 0.0 else 0.0
-        n_outputs = weights.shape[1]
+        n_outputs = lane.weights.shape[1]
         for k in range(count.used):
-            row, out = lane.pairs[k] // n_outputs, lane.pairs[k] % n_outputs
-            weights[row, out] = _reinforced(weights[row, out], signal, learner.floor)
+            reinforce(learner, lane, lane.pairs[k] // n_outputs, lane.pairs[k] % n_outputs, signal)
     return steps
 
 
@@ -950,6 +973,7 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
     for j in range(jobs.shape[0]):
         p, first, last = jobs[j, 0], jobs[j, 1], jobs[j, 2]
         for row in range(weights.shape[1]):
+            lane.stale[row] = 0
             for out in range(weights.shape[2]):
                 lane.weights[row, out] = weights[p, row, out]
         n, outside = run_trials(

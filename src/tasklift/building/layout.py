@@ -16,14 +16,15 @@ def _record(**fields: str) -> np.dtype:
     return np.dtype(list(fields.items()), align=True)
 
 
-NODE = _record(x="f8", y="f8", feature="i8", first="i8", last="i8", near_first="i8", near_last="i8")
-HALF = _record(to="i8", edge="i8", cost_mm="i8", coverage="f8")
-MEMBER = _record(speed_mm="i8", armed="i8", kind="i8")
+# Numbers that index something are unsigned, where they are never -1: the compiler then need not ask for negative ones.
+NODE = _record(x="f8", y="f8", feature="i8", first="i8", last="i8", near_first="u4", near_last="u4")
+HALF = _record(to="u4", edge="u4", cost_mm="i8", coverage="f8")
+MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8")
 ROBOT = _record(
-    alive="i8", node="i8", half="i8", next="i8", came="i8", progress="i8", pace="i8",  # half, next, came: -1 for none
-    due="i8", decided="i8", row="i8", pair_row="i8", out="i8", force="i8", repelled="i8", crossing="i8",
-    dl="i8", alert="i8", team="i8", decisions="i8", choices="i8",
+    alive="i8", node="u4", half="i8", next="i8", came="i8", progress="i8", pace="i8",  # half, next, came: -1 for none
+    due="i8", decided="i8", row="i8", pair_row="u4", out="u4", force="u4", repelled="i8", crossing="i8",
+    dl="i8", alert="i8", team="u4", decisions="i8", choices="i8",
     wake="i8", died="i8", stopping="i8", after="i8", before="i8",  # decided, wake, died: ticks
 )  # fmt: skip
 SITE = _record(
@@ -31,12 +32,12 @@ SITE = _record(
     crossed="i8", failed="i8", picking="i8", picks="i8",  # crossed, failed, picking: the tick at which it last was
 )  # fmt: skip
 PLACE = _record(first="i8", touched="i8")  # a node, or N + a half-edge; the first robot there, -1 for none
-TEAM = _record(lead="i8", armed="i8", slowest="i8", due="i8", learned="i8")
-SLOT = _record(tick="i8", place="i8", progress="i8", team="i8")
+TEAM = _record(lead="u4", armed="i8", slowest="i8", due="i8", learned="i8")
+SLOT = _record(tick="i8", place="i8", progress="i8", team="u4")
 COUNT = _record(
     step="i8", alive="i8", awake="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8", rooms_open="i8",
-    hostiles_left="i8", losses="i8", messages="i8", used="i8", tick="i8", trial="i8", robot_steps="i8", arrivals="i8",
-    outside="i8", key="u8",
+    hostiles_left="i8", losses="i8", messages="i8", used="i8", tick="i8", robot_steps="i8", arrivals="i8", outside="i8",
+    key="u8",
 )  # fmt: skip
 
 #: Classes of robots in one corridor, by progress and pace, whose meetings are foreseen; with more it is watched.
@@ -48,9 +49,9 @@ class World(NamedTuple):
 
     nodes: Any  # NODE (N,)
     halves: Any  # HALF (H,): each node's half-edges from `first` to `last`, by ascending neighbour
-    near: Any  # int64: features within the alert range of each node, by descending id, `near_first` to `near_last`
+    near: Any  # uint32: features within the alert range of each node, by descending id, `near_first` to `near_last`
     search: Any  # int64 (N,): steps to search each room, 0 elsewhere
-    candidates: Any  # int64: nodes where hostiles may be hidden
+    candidates: Any  # uint32: nodes where hostiles may be hidden
     members: Any  # MEMBER (R,)
 
 
@@ -101,13 +102,13 @@ class Lane(NamedTuple):
 
     robots: Any  # ROBOT (R,)
     given: Any  # int64 (R,): the output of each robot's next decisions, -1: drawn
-    roster: Any  # int64 (R,): the living, ascending, first `count.alive` entries
-    awake: Any  # int64 (R,): those of them that are looked at in this step, ascending, first `count.awake` entries
+    roster: Any  # uint32 (R,): the living, ascending, first `count.alive` entries
+    awake: Any  # uint32 (R,): those of them that are looked at in this step, ascending, first `count.awake` entries
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
-    touched: Any  # int64 (N + H,): the places at which something changed in this step, first `count.touched` entries
-    rooms: Any  # int64 (N,): rooms that are being searched, first `count.rooms_open` entries
-    picks: Any  # int64 (H,): per node, the half-edges chosen in this step, in order
+    touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries
+    rooms: Any  # uint32 (N,): rooms that are being searched, first `count.rooms_open` entries
+    picks: Any  # uint32 (H,): per node, the half-edges chosen in this step, in order
     open: Any  # uint8 (largest degree,): which of a node's half-edges a robot may take
     share: Any  # float64 (largest degree,): p_j over them, 0 where not open
     visited: Any  # uint8 (E,)
@@ -116,8 +117,10 @@ class Lane(NamedTuple):
     teams: Any  # TEAM (R,): at the number of one of its members
     slots: Any  # SLOT (power of two, at least 2 R,): hash of places to teams
     classes: Any  # int64 (CLASSES, 2): scratch, progress and pace
-    used: Any  # int32 (S, A): the trial in which each pair was last used
+    used: Any  # uint8 (S, A): 1 for each pair that was used in this trial
     pairs: Any  # int32 (S * A,): the pairs used in this trial, in order of first use
-    shuffle: Any  # int64: scratch for placing hostiles
+    shuffle: Any  # uint32: scratch for placing hostiles
     count: Any  # COUNT (1,)
     weights: Any  # float64 (S, A)
+    sums: Any  # float64 (S, A): running sums of each row's weights, up to the first stale one
+    stale: Any  # int64 (S,): the first output whose sum is not up to date, A: none

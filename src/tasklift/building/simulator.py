@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache
 from itertools import count
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -98,9 +101,9 @@ class Simulator:
         return layout.World(
             nodes=nodes,
             halves=halves,
-            near=np.array([f for features in near for f in features], np.int64),
+            near=np.array([f for features in near for f in features], np.uint32),
             search=search_steps(building.kind == 0, building.area_m2, building.obstacles, reading.search_rate_m2),
-            candidates=np.array(candidates, np.int64),
+            candidates=np.array(candidates, np.uint32),
             members=members,
         )
 
@@ -173,13 +176,13 @@ class Simulator:
         return layout.Lane(
             robots=np.zeros(n_robots, layout.ROBOT),
             given=np.full(n_robots, -1, np.int64),
-            roster=np.zeros(n_robots, np.int64),
-            awake=np.zeros(n_robots, np.int64),
+            roster=np.zeros(n_robots, np.uint32),
+            awake=np.zeros(n_robots, np.uint32),
             sites=np.zeros(n_nodes, layout.SITE),
             places=np.zeros(n_nodes + n_halves, layout.PLACE),
-            touched=np.zeros(n_nodes + n_halves, np.int64),
-            rooms=np.zeros(n_nodes, np.int64),
-            picks=np.zeros(n_halves, np.int64),
+            touched=np.zeros(n_nodes + n_halves, np.uint32),
+            rooms=np.zeros(n_nodes, np.uint32),
+            picks=np.zeros(n_halves, np.uint32),
             open=np.zeros(degree, np.uint8),
             share=np.zeros(degree),
             visited=np.zeros(n_edges, np.uint8),
@@ -188,11 +191,13 @@ class Simulator:
             teams=np.zeros(n_robots, layout.TEAM),
             slots=np.zeros(1 << (2 * n_robots - 1).bit_length(), layout.SLOT),
             classes=np.zeros((layout.CLASSES, 2), np.int64),
-            used=np.zeros(shape, np.int32),
+            used=np.zeros(shape, np.uint8),
             pairs=np.zeros(math.prod(shape), np.int32),
-            shuffle=np.zeros(len(self.world.candidates), np.int64),
+            shuffle=np.zeros(len(self.world.candidates), np.uint32),
             count=np.zeros(1, layout.COUNT),
             weights=np.zeros(shape),
+            sums=np.zeros(shape),
+            stale=np.zeros(shape[0], np.int64),
         )
 
     def keys(self, seed: int, stage: int) -> tuple[np.uint64, np.uint64]:
@@ -356,7 +361,8 @@ class Simulator:
                 -1 if max_losses is None else max_losses, weights, jobs[part], table, left, done[part],
             )  # fmt: skip
 
-        _share_out(work, lambda: self.lane(task.shape), len(jobs), threads)
+        with _patience():
+            _share_out(work, lambda: self.lane(task.shape), len(jobs), threads)
         outside = done[:, 1].nonzero()[0]
         if len(outside):
             self._refuse_input(task, int(done[outside[0], 1]) - 1)
@@ -473,7 +479,7 @@ class Simulator:
 
 
 #: A robot's record in a trace: with the steps since its last decision.
-_SEEN = np.dtype([*layout.ROBOT.descr, ("since", "i8")])
+_SEEN = np.dtype([(name, "i8") for name in (*(layout.ROBOT.names or ()), "since")])
 
 
 def _frame(lane: layout.Lane) -> dict[str, Any]:
@@ -524,6 +530,19 @@ def _strides(task: Task) -> list[int]:
     """Return how many rows of a task's table lie between neighbouring values of each of its inputs."""
     sizes = [len(variable) for variable in task.inputs]
     return [math.prod(sizes[i + 1 :]) for i in range(len(sizes))]
+
+
+@contextmanager
+def _patience() -> Iterator[None]:
+    """Say on a terminal that the kernel is being compiled, where the first call takes longer than reading the cache."""
+    note = "tasklift: compiling the simulator for this machine, once; this can take half a minute"
+    timer = Timer(2.0, print, [note], {"file": sys.stderr})
+    if not kernel.run.signatures and sys.stderr.isatty():
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _share_out(work: Any, lane: Any, n_jobs: int, threads: int | None) -> None:

@@ -132,6 +132,11 @@ class Survey:
             steps=np.concatenate([of.steps for of in self.maps.values()]),
         )
 
+    @cached_property
+    def explanations(self) -> list[Explanation]:
+        """What :func:`correlate` finds."""
+        return correlate(self)
+
     def mean_slopes(self, half: Half = "all") -> NDArray[np.float64]:
         """``float64 (maps,)``: each map's mean slope over the seeds of a half (weight per unit of CA)."""
         return np.array([of.slopes[of.rows(half)].mean() for of in self.maps.values()])
@@ -173,7 +178,7 @@ class Survey:
         ]
         found = [
             f"“{row.name}” (rank correlation {row.rho:+.2f}, p {row.p_holm:.2g})"
-            for row in correlate(self)
+            for row in self.explanations
             if row.p_holm < 0.05
         ]
         why = (
@@ -197,7 +202,7 @@ class Survey:
             (f"{row.name}: {row.meaning}", row.rho, row.p_holm)
             if np.isfinite(row.rho)
             else (f"{row.name}: {row.meaning}; the same on all", None, None)
-            for row in correlate(self)
+            for row in self.explanations
         ]
 
 

@@ -203,6 +203,25 @@ def test_training_takes_any_arms_and_refuses_unknown_ones(tasklift, building):
     assert not Path("other").exists()
 
 
+def test_training_takes_a_curriculum_from_a_spec(tasklift, building):
+    Path("my plan.toml").write_text(
+        'name = "my own way"\nenvironment = {}\n[learner]\nrule = "reinforcement"\n'
+        '[[stages]]\nname = "calm"\noptions = { hostiles = 0 }\ntrials = 4\n[[stages]]\nname = "all"\ntrials = 5\n'
+    )
+    asked = ("train", building, "--team", "2+2", "--limit", 60, "--seeds", 1, "--arms", "direct", "--trials", 4)
+    code, out, err = tasklift(*asked, "--curriculum", "my plan.toml", "--out", "run")
+    assert code == 0, err
+    page = Path("run/report.html").read_text()
+    assert "my own way" in page
+    assert "--curriculum &#x27;my plan.toml&#x27; --seeds 1" in page
+    code, out, _ = tasklift("runs", "show", "run")
+    assert "own-my-plan" in out
+    Path("my plan.toml").write_text(Path("my plan.toml").read_text().replace("trials = 5", "trials = 6"))
+    code, _, err = tasklift(*asked, "--curriculum", "my plan.toml", "--out", "run")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "own-my-plan" in err
+
+
 def test_unknown_files_and_policies_are_refused(tasklift, tmp_path):
     for arguments, says in [
         (("train", "plan.dwg"), "cannot be read"),

@@ -89,6 +89,12 @@ def drills(choose: bool, **options: Any) -> None:
     help="Methods (arms) by name, drills among them, such as direct-400-q90,every-door-300-q90.  "
     "[default: search,expert,direct,copy,copy-prior]",
 )
+@click.option(
+    "--curriculum",
+    type=path,
+    multiple=True,
+    help="A spec file (TOML) whose stages are a further arm, as `learn` takes it; may be given again.",
+)
 @click.option("--seeds", type=positive, default=3, show_default=True, help="Independent runs.")
 @click.option("--trials", type=positive, default=100, show_default=True, help="Episodes (trials) on the full task.")
 @click.option("--practice", type=positive, default=36_000, show_default=True, help="Safe episodes of the search.")

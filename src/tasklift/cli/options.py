@@ -79,10 +79,12 @@ def command_line() -> str:
         value = context.params.get(parameter.name or "")
         if parameter.name in _NO_RESULT or value is None or value is False:
             continue
-        if isinstance(parameter, click.Option):
-            words.append(parameter.opts[0])
-        if value is not True:
-            words.append(",".join(map(str, value)) if isinstance(value, tuple) else str(value))
+        several = isinstance(parameter, click.Option) and parameter.multiple
+        for one in value if several else [value]:
+            if isinstance(parameter, click.Option):
+                words.append(parameter.opts[0])
+            if one is not True:
+                words.append(",".join(map(str, one)) if isinstance(one, tuple) else str(one))
     return shlex.join(words)
 
 

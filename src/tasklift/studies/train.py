@@ -24,12 +24,13 @@ from tasklift.plans.read import load_building
 from tasklift.report import pictures
 from tasklift.report.page import Report
 from tasklift.studies import report
-from tasklift.studies.arms import ARMS, PRACTICE, Arm
+from tasklift.studies.arms import PRACTICE, Arm
 from tasklift.studies.certify import Certified, certify, quantile_bound
 from tasklift.studies.claims import indirect
 from tasklift.studies.paper import figures
 from tasklift.studies.readiness import advice, diagnose
 from tasklift.studies.samples import Sample
+from tasklift.studies.spec_file import arm_of
 from tasklift.studies.study import Condition, Record, Study
 from tasklift.tasks.policy import Policy
 
@@ -75,6 +76,7 @@ def train(
     limit: int = 600,
     preset: str = "scattered",
     arms: Sequence[str] = TRAINED,
+    curriculum: Sequence[Path] = (),
     seeds: int = 3,
     trials: int = 100,
     practice: int = PRACTICE,
@@ -95,7 +97,9 @@ def train(
     preset
         ``scattered`` or ``cohesive``.
     arms
-        Slugs; at least one that learns.
+        Slugs; at least one that learns, or a curriculum.
+    curriculum
+        Spec files, whose curricula are further arms (:func:`tasklift.studies.spec_file.arm_of`).
     seeds, trials
         How many; trials on T, for arms that do not say otherwise.
     practice
@@ -122,10 +126,12 @@ def train(
     place = load_building(building)
     rules = PRESETS[one_of(preset, list(PRESETS), "preset")]
     number(ready, "ready", 0.0, 1.0, above=True)
+    named: list[str | Arm] = [*arms, *(arm_of(file) for file in curriculum)]
     study = Study.every(
-        {building.stem: place}, {preset: Condition(rules, hostiles=hostiles)}, arms, seeds=seeds, trials=trials,
+        {building.stem: place}, {preset: Condition(rules, hostiles=hostiles)}, named, seeds=seeds, trials=trials,
         practice=practice, team=team, weapons_needed=weapons_needed, limit=limit, record=Record(weights=True),
     )  # fmt: skip
+    arms = study.slugs(building.stem)
     if not any(study.arms[slug].learns for slug in arms):
         raise TaskliftError("arms: none of those named learns; add search, direct or copy-prior")
     folder = output_folder(out if out is not None else Path("runs") / building.stem, (FILE_NAME,))
@@ -147,7 +153,7 @@ def train(
             lines = _not_ready(best, mission, ready, folder, progress)
         lines += comparison(found, samples, price, best)
         path = folder / "report.html"
-        page = _report(mission, samples, found, price, ready, lines, preset, folder)
+        page = _report(mission, samples, found, price, study.arms, ready, lines, preset, folder)
         report.add_settings(page, store, command)
         page.write(path)
     return lines, path
@@ -268,15 +274,15 @@ def comparison(
         mine = [c for c in found if c.arm.slug == slug]
         if not mine or slug == best.arm.slug:
             continue
-        cost = ""
-        if ARMS[slug].learns:
+        arm, cost = mine[0].arm, ""
+        if arm.learns:
             cost = f"; it learned from {price[slug].safe:,} safe and {price[slug].dangerous:,} dangerous episodes"
         if price[slug].dangerous:
             lost = sample.losses.sum(axis=1)
             cost += f", which cost {lost.mean():.0f} robots"
             if (bound := quantile_bound(lost)) is not None:
                 cost += f" (95 % of runs lose at most {bound:.0f}, 95 % sure)"
-        lines.append(f"{ARMS[slug].label}: its best policy {chosen(mine)}{cost}")
+        lines.append(f"{arm.label}: its best policy {chosen(mine)}{cost}")
     return lines
 
 
@@ -316,6 +322,7 @@ def _report(
     samples: Mapping[str, Sample],
     found: Sequence[Candidate],
     price: Mapping[str, Price],
+    arms: Mapping[str, Arm],
     ready: float,
     lines: Sequence[str],
     preset: str,
@@ -337,13 +344,13 @@ def _report(
                f"{least_steps(mission)} steps are needed")  # fmt: skip
     picture, _ = pictures.save(figures.figure1(mission.building), folder / "figures", "building")
     page.figure(picture, "The building as a plan and as its graph.")
-    report.add_arms(page, samples)
-    page.table(*report.arm_table(samples), caption=f"While learning on T, preset **{preset}**")
+    report.add_arms(page, samples, arms)
+    page.table(*report.arm_table(samples, arms), caption=f"While learning on T, preset **{preset}**")
     page.section("Learning curves")
-    report.add_curves(page, samples, preset)
+    report.add_curves(page, samples, preset, arms)
     page.section("Stop or move, by the feature faced")
-    for arm in indirect(samples):
-        report.add_move_weights(page, samples[arm], ARMS[arm].label)
+    for arm in indirect(samples, arms):
+        report.add_move_weights(page, samples[arm], arms[arm].label)
     page.section("The ledger: what was spent and lost, by stage")
-    page.table(report.LEDGER_HEADERS, report.ledger_rows(samples), caption="Per seed")
+    page.table(report.LEDGER_HEADERS, report.ledger_rows(samples, arms), caption="Per seed")
     return page

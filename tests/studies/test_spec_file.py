@@ -384,6 +384,8 @@ def test_a_specs_curriculum_is_an_arm_for_any_building(tmp_path: Path) -> None:
     for stage in ("drill", "target"):
         trace = study.replay(cell, 29, stage)
         assert trace.losses[-1] == rows[stage]["losses"][29]
+    again = Study.from_spec(study.spec("a"), tmp_path)  # as `tasklift watch` finds it
+    assert again.work(cell).summary == study.work(cell).summary
     # another curriculum under the same name is another experiment
     text = (tmp_path / "drill.toml").read_text()
     (tmp_path / "drill.toml").write_text(text.replace("trials = 30", "trials = 31", 1))

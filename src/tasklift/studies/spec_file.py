@@ -161,26 +161,24 @@ def arm_of(path: str | os.PathLike[str], *, allow_imports: bool = False) -> Arm:
     TaskliftError
         If the file cannot be read as a spec. What is wrong with a stage is found when a study is made.
     """
-    document, file = read_spec(path), Path(path)
+    slug = re.sub("[^a-z0-9]+", "-", Path(path).stem.lower()).strip("-")
+    document = {name: value for name, value in read_spec(path).items() if name != "environment"}
+    return own_arm(f"own-{slug}" if slug else "own", document, Path(path).parent, allow_imports=allow_imports)
+
+
+def own_arm(slug: str, document: Mapping[str, Any], folder: Path, *, allow_imports: bool = False) -> Arm:
+    """Return the arm that a spec without environment describes; parameters as in :func:`curriculum_of`."""
 
     def curriculum(on: Setup) -> Curriculum:
         mission = on.mission
         environment = {name: getattr(mission, name) for name in ("building", "team", "weapons_needed", "limit")}
         hostiles = mission.hostiles if isinstance(mission.hostiles, int) else list(mission.hostiles)
         environment |= {"hostiles": hostiles, "reading": asdict(mission.reading)}
-        made = curriculum_of({**document, "environment": environment}, file.parent, allow_imports=allow_imports)
+        made = curriculum_of({**document, "environment": environment}, folder, allow_imports=allow_imports)
         return replace(made, stages=(*made.stages[:-1], replace(made.stages[-1], name="target")))
 
-    slug = re.sub("[^a-z0-9]+", "-", file.stem.lower()).strip("-")
-    return Arm(
-        f"own-{slug}" if slug else "own",
-        document["name"],
-        f"the curriculum of {file.name}",
-        curriculum,
-        against=("direct",),
-        drawn=True,
-        settings={name: value for name, value in document.items() if name != "environment"},
-    )
+    meaning = f"the {len(document['stages'])} stage(s) of a spec"
+    return Arm(slug, document["name"], meaning, curriculum, against=("direct",), drawn=True, settings=dict(document))
 
 
 # -- the parts -------------------------------------------------------------------------------------------------

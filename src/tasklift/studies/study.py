@@ -441,18 +441,21 @@ class Study:
         folder
             Where buildings that were not generated lie, as ``.json`` files.
         arms
-            By slug.
+            By slug. Arms that were made from a spec file are made again.
 
         Raises
         ------
         TaskliftError
             If it is the specification of something else, or a building is not there.
         """
+        from tasklift.studies.spec_file import own_arm
+
         settings, axes = spec.settings, spec.axes
         try:
             axis, (maps, seeds, slugs) = next(iter(axes)), (axes[name] for name in ("map", "seed", "arm"))
             conditions = axes[axis]
             kept = settings["record"]
+            own = {slug: own_arm(slug, of, folder) for slug, of in slugs.items() if of is not None}
             return cls(
                 {name: _building(folder, name, of) for name, of in maps.items()},
                 {name: Condition.from_json(of) for name, of in conditions.items()},
@@ -461,7 +464,7 @@ class Study:
                 team={Kind(name, speed, armed): n for name, speed, armed, n in settings["team"]},
                 unseen={name: _building(folder, name, of) for name, of in settings["unseen"].items()},
                 record=Record(tuple(kept["columns"]), tuple(kept["stages"]), kept["policy"], kept["weights"]),
-                arms=arms,
+                arms={**arms, **own},
                 **{key: settings[key] for key in ("trials", "repeats", "practice", "weapons_needed", "limit")},
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

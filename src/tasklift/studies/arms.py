@@ -158,7 +158,15 @@ class Drilling:
     hostiles: Literal["same", "relocated", "every door"] = "same"
 
     def stage(self, on: Setup, prior: Iterable[Prior] = ()) -> Stage:
-        """Return the drills as a stage of a curriculum."""
+        """Return the drills as a stage of a curriculum.
+
+        Parameters
+        ----------
+        on
+            What the curriculum is made for.
+        prior
+            Prior knowledge, applied to the policy with which the drills begin.
+        """
         doors = tuple(hostile_candidates(on.mission.building)) if self.hostiles == "every door" else None
         relocate = self.hostiles == "relocated" or on.mission.reading.relocate
         rules = replace(on.reinforcement, loss_signal=self.loss_signal, credit=self.credit, selection="pseudo-random")
@@ -442,6 +450,13 @@ ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, SEARCH, *DRILL
 
 def arms_named(slugs: Iterable[str], known: Mapping[str, Arm] = ARMS) -> tuple[Arm, ...]:
     """Return the arms with these slugs, in this order.
+
+    Parameters
+    ----------
+    slugs
+        Names, each once.
+    known
+        All arms by slug.
 
     Raises
     ------

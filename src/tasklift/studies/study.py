@@ -249,11 +249,30 @@ class Study:
         return Setup(mission, of.reinforcement, self.trials, self.repeats, self.practice, worlds)
 
     def mission(self, condition: str, building: str) -> Mission:
-        """Return T's world on one building under one condition, made at its first use."""
+        """Return T's world on one building under one condition, made at its first use.
+
+        Parameters
+        ----------
+        condition, building
+            By name; buildings that are tried only afterwards (``unseen``) as well.
+
+        Raises
+        ------
+        TaskliftError
+            If there is no such mission: more hostiles than places, fewer weapon robots than a hostile needs.
+        """
         return self._setup(condition, building).mission
 
     def cell(self, condition: str, building: str, seed: int, arm: str) -> Cell:
-        """Return a cell of this study."""
+        """Return a cell of this study.
+
+        Parameters
+        ----------
+        condition, building, arm
+            By name.
+        seed
+            At least 0.
+        """
         return Cell.of((self.axis, "map", "seed", "arm"), (condition, building, str(seed), arm))
 
     def cells(self) -> list[Cell]:
@@ -271,7 +290,13 @@ class Study:
         return list(dict.fromkeys(slug for part in self.parts if building in part.maps for slug in part.arms))
 
     def curriculum(self, cell: Cell) -> Curriculum:
-        """Return the curriculum of a cell's arm, made for its map and condition."""
+        """Return the curriculum of a cell's arm, made for its map and condition.
+
+        Raises
+        ------
+        TaskliftError
+            If the arm is unknown.
+        """
         return arms_named([cell["arm"]], self.arms)[0].curriculum(self._setup(cell[self.axis], cell["map"]))
 
     # ------------------------------------------------------------ what is done
@@ -352,7 +377,13 @@ class Study:
         )  # fmt: skip
 
     def stage_trials(self, cell: Cell, stage: str = "target") -> int:
-        """Return how many trials a stage of a cell has; stages as in :meth:`replay`."""
+        """Return how many trials a stage of a cell has; parameters as in :meth:`replay`.
+
+        Raises
+        ------
+        TaskliftError
+            If there is no such stage.
+        """
         if stage in self._tried(cell):
             return GREEDY_TRIALS
         for one in self.curriculum(cell).stages:

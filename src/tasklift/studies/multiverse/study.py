@@ -99,6 +99,18 @@ def draw(n: int, seed: int = 0) -> NDArray[np.int64]:
     A Latin hypercube, improved by swaps to a small centred discrepancy: the levels of an option are equally
     frequent (but for a remainder of one), those of two options together nearly so. Other seeds give other
     readings; the design itself is part of the experiment's specification.
+
+    Parameters
+    ----------
+    n
+        How many readings, at least 2.
+    seed
+        Of the design.
+
+    Raises
+    ------
+    TaskliftError
+        For fewer than two.
     """
     from scipy.stats import qmc
 

@@ -83,6 +83,11 @@ def figure2(building: Building, node: int, goal: int, sharpness: float = 1.0) ->
         The node that the team heads for.
     sharpness
         As the reading's ``goal_sharpness``.
+
+    Raises
+    ------
+    TaskliftError
+        If the building has no such node.
     """
     for name, value in (("node", node), ("goal", goal)):
         if not 0 <= value < building.n_nodes:
@@ -274,6 +279,11 @@ def figure5(move_weights: ArrayLike) -> Figure:
     ----------
     move_weights
         ``(3, 5, 2)``: mean weight by nWPN, FTR and MV; see :func:`tasklift.studies.study.move_weights`.
+
+    Raises
+    ------
+    TaskliftError
+        For another shape.
     """
     values = np.asarray(move_weights, dtype=np.float64)
     if values.shape != (3, 5, 2):

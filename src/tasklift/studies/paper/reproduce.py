@@ -44,6 +44,11 @@ def study(*, maps: int, seeds: int, trials: int, arms: Sequence[str], survey: in
     ----------
     maps, seeds, trials, arms, survey
         As in :func:`reproduce`.
+
+    Raises
+    ------
+    TaskliftError
+        For numbers below 1, unknown arms, or arms without the ones that they are judged against.
     """
     for name, value in (("maps", maps), ("seeds", seeds)):
         whole_number(value, name, 1)

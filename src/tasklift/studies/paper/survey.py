@@ -64,7 +64,13 @@ class Surveyed:
         return np.asarray(self.weights @ SLOPE)
 
     def rows(self, half: Half) -> NDArray[np.bool_]:
-        """``bool (n,)``: the seeds of a half."""
+        """``bool (n,)``: the seeds of a half.
+
+        Raises
+        ------
+        TaskliftError
+            If there are none.
+        """
         if half not in ("even", "odd", "all"):
             raise TaskliftError(f"half of the seeds: expected even, odd or all, found {half!r}")
         rows = np.full(len(self.seeds), True) if half == "all" else self.seeds % 2 == (half == "odd")
@@ -153,7 +159,17 @@ class Survey:
         return names[steep], names[level]
 
     def slope_interval(self, name: str, half: Half = "odd", confidence: float = 0.95) -> Interval:
-        """Return the bootstrap interval of a map's mean slope over seeds (weight per unit of CA)."""
+        """Return the interval of a map's mean slope over seeds (weight per unit of CA).
+
+        Parameters
+        ----------
+        name
+            Of the map.
+        half
+            Which seeds.
+        confidence
+            Of the interval.
+        """
         of = self.maps[name]
         return bootstrap(np.mean, of.slopes[of.rows(half)], confidence=confidence)
 
@@ -218,6 +234,11 @@ def parts(names: Sequence[str], seeds: int = SEEDS, shown: int = SHOWN) -> tuple
     shown
         The two maps that :meth:`Survey.choose` picks get further odd seeds, up to this many: their intervals are to
         be narrow. Odd seeds choose nothing.
+
+    Raises
+    ------
+    TaskliftError
+        For fewer than two seeds.
     """
     whole_number(seeds, "survey, seeds", 2)
     further = tuple(range(seeds + 1 - seeds % 2, 2 * shown, 2))
@@ -242,7 +263,13 @@ def study(maps: int, *, seeds: int = SEEDS, shown: int = SHOWN, **options: Any) 
 
 
 def surveyed(maps: int) -> dict[str, Building]:
-    """Return the survey's maps by name."""
+    """Return the survey's maps by name.
+
+    Raises
+    ------
+    TaskliftError
+        For fewer than one.
+    """
     return generated(range(FIRST_MAP_SEED, FIRST_MAP_SEED + whole_number(maps, "survey", 1)))
 
 

@@ -7,13 +7,14 @@ probability 0); ``S`` inputs of the task. Several states may look the same, so N
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.checks import number
 from tasklift.errors import TaskliftError
 from tasklift.learning.worlds import Step, stray_input
 from tasklift.tasks.policy import Policy
@@ -213,6 +214,65 @@ class Model:
         if steps is None:
             raise TaskliftError(f"model of {self.task.name!r}: values do not settle; give steps= or a discount below 1")
         return table
+
+    # -- safety --------------------------------------------------------------------------------------------
+
+    def failure_probability(self, chances: Floats) -> float:
+        """Return the exact probability that a policy ever loses anything, in a trial without a limit.
+
+        Parameters
+        ----------
+        chances : float64 (S, A)
+            How probable each output is at each input.
+        """
+        weights = np.asarray(chances, dtype=np.float64)[self.rows]
+        gain, move = self._until_lost._dynamics(None)
+        now, on = (weights * gain).sum(axis=1), np.einsum("na,nam->nm", weights, move)
+        # from the other states nothing is ever lost, even if the trial never ends there
+        near = now > 0
+        while (wider := near | ((on @ near.astype(float)) > 0)).sum() > near.sum():
+            near = wider
+        lost = np.zeros(len(self.rows))
+        lost[near] = np.linalg.solve(np.eye(int(near.sum())) - on[np.ix_(near, near)], now[near])
+        return float(self.start_probability @ lost)
+
+    def risks(self) -> Floats:
+        """Return the least probability of ever losing anything after each output in each state, float64 (N, A)."""
+        certain = replace(self._until_lost, reward=-self._until_lost.reward)
+        return np.asarray(-certain.action_values())
+
+    def shielded(self, risk: float) -> Model:
+        """Return the model behind a shield: outputs that are too risky do what the safest one does instead.
+
+        An output is too risky in a state if the least probability of ever losing anything after it is above ``risk``,
+        and another one's is lower. The shield needs the model; what learns in it needs nothing (Alshiekh et al., *Safe
+        Reinforcement Learning via Shielding*, AAAI 2018; here with probabilities, by value iteration).
+
+        Parameters
+        ----------
+        risk : float
+            From 0 to 1. At 1 nothing is changed.
+
+        Raises
+        ------
+        TaskliftError
+            If ``risk`` is out of range.
+        """
+        number(risk, "shield, risk", 0.0, 1.0)
+        risks = self.risks()
+        least = risks.min(axis=1, keepdims=True)
+        # what value iteration leaves of a difference is no reason to refuse
+        refused = (risks > risk + 1e-9) & (risks > least + 1e-9)
+        state, outputs = np.arange(len(self.rows))[:, None], np.arange(self.task.shape[1])
+        does = np.where(refused, risks.argmin(axis=1)[:, None], outputs)
+        names = ("probability", "after", "reward", "ended", "lost", "success")
+        return replace(self, **{name: getattr(self, name)[state, does] for name in names})
+
+    @cached_property
+    def _until_lost(self) -> Model:
+        """The model in which the first loss gives 1 and ends the trial, and nothing else gives anything."""
+        lost = self.lost > 0
+        return replace(self, ended=self.ended | lost, reward=lost.astype(np.float64))
 
     def best_policy(self, **options: Any) -> Policy:
         """Return the best policy by :meth:`action_values`; inputs must tell the model's states apart."""

@@ -185,7 +185,8 @@ class PolicySearch:
         rate = self.rate * len(best) / most
         for vector, drawn in zip(mean, candidates, strict=True):
             vector *= 1.0 - rate
-            vector += rate * np.tensordot(share, drawn[best], axes=1)
+            # added one by one: a BLAS product's last bit depends on the processor
+            vector += rate * (share[:, None, None] * drawn[best]).sum(axis=0)
         return True
 
 

@@ -19,7 +19,9 @@ $(STAMP): pyproject.toml constraints.txt $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-demo: $(STAMP)  ## set up, reproduce the paper's experiment, leave reproduction/report.html
+demo: $(STAMP)  ## set up, train a team (runs/demo/report.html), reproduce the paper (reproduction/report.html)
+	mkdir -p runs && { [ -f runs/demo.json ] || $(BIN)/tasklift map generate --seed 7 -o runs/demo.json; }
+	$(BIN)/tasklift train runs/demo.json --seeds 1 --out runs/demo
 	$(BIN)/tasklift reproduce --out reproduction $(ARGS)
 
 chromium:  ## install the browser that the replay page is tested in (Debian and its kin, as root)

@@ -138,7 +138,7 @@ def wake(lane):
         robot = robots[r]
         robot.progress += robot.pace
         if robot.wake <= tick:
-            lane.awake[n] = r
+            lane.awake[np.uint32(n)] = r
             n += 1
     count.awake = n
 
@@ -182,11 +182,10 @@ def draw_by_weight(lane, row, u):
 def draw_output(learner, lane, r):
     """Let robot r draw an output for its input (rule 20), or take the one that is given; book it."""
     robot, key = lane.robots[r], lane.count[0].key
-    row = learner.rows[robot.row]
-    if row < 0:
+    if learner.rows[np.uint32(robot.row)] < 0:
         lane.count[0].outside = robot.row + 1
         return
-    out = lane.given[r]
+    row, out = np.uint32(learner.rows[np.uint32(robot.row)]), lane.given[r]
     if out < 0:
         u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
         if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
@@ -196,7 +195,7 @@ def draw_output(learner, lane, r):
     robot.decisions += 1
     robot.out = out
     robot.pair_row = row
-    credit(learner, lane, row, out)
+    credit(learner, lane, row, np.uint32(out))
 
 
 @_inline
@@ -617,13 +616,13 @@ def search(lane):
 @_inline
 def team_at(slots, tick, place, progress, fresh):
     """Return the number of the team at a place and progress; the first one there founds team ``fresh`` (rule 4)."""
-    mask = slots.shape[0] - 1
+    mask = np.uint32(slots.shape[0] - 1)
     address = (np.uint64(place) * _FIRST + np.uint64(progress)) * _GOLDEN
-    at = np.int64(address >> np.uint64(32)) & mask
+    at = np.uint32(address >> np.uint64(32)) & mask
     while slots[at].tick == tick:
         if slots[at].place == place and slots[at].progress == progress:
             return slots[at].team
-        at = (at + 1) & mask
+        at = np.uint32(at + 1) & mask
     slot = slots[at]
     slot.tick = tick
     slot.place = place
@@ -637,11 +636,16 @@ def form_teams(world, rules, lane, place):
     """Find the teams at a place (rule 4), numbered by one of their members; pool their maps (rule 12)."""
     robots, teams, maps = lane.robots, lane.teams, lane.maps
     at_node, first = place < world.nodes.shape[0], lane.places[place].first
+    if first < 0:
+        return
+    alone = robots[first].after < 0
     differ = False
     r = first
     while r >= 0:
         robot = robots[r]
-        t = first if at_node else team_at(lane.slots, lane.count[0].tick, place, robot.progress, r)
+        t = np.uint32(first)
+        if not alone and not at_node:
+            t = team_at(lane.slots, lane.count[0].tick, place, robot.progress, np.uint32(r))
         robot.team = t
         team = teams[t]
         if t == r:
@@ -651,7 +655,7 @@ def form_teams(world, rules, lane, place):
             team.due = 0
             team.learned = 0
         else:
-            team.lead = min(team.lead, r)
+            team.lead = min(team.lead, np.uint32(r))
             if rules.share_map == SHARE_TEAM:
                 for w in range(maps.shape[1]):
                     differ |= maps[r, w] != maps[t, w]
@@ -722,8 +726,8 @@ def plan(world, rules, learner, lane, place):
             pace = np.int64(0)
             if learner.outputs[robot.force].mv == 1:
                 pace = _speed(world, learner, lane, r)
-                way = world.halves[np.uint32(robot.half)].cost_mm - robot.progress
-                wakes = min(wakes, tick + (way + pace - 1) // pace)
+                way = np.uint64(world.halves[np.uint32(robot.half)].cost_mm - robot.progress + pace - 1)
+                wakes = min(wakes, tick + np.int64(way // np.uint64(pace)))
             robot.pace = pace
             known = False
             for c in range(n_classes):

@@ -75,6 +75,7 @@ def test_rewards_are_signals_losses_and_the_end() -> None:
             expected = {
                 a: signals[infos[a]["input"], np.ravel_multi_index(tuple(actions[a]), (2, 2, 11))] for a in env.agents
             }
+            before = observations
             observations, rewards, terminations, truncations, infos = env.step(actions)
             steps += 1
             won = not env.agents and not any(truncations.values()) and not all(i["lost"] for i in infos.values())
@@ -82,6 +83,7 @@ def test_rewards_are_signals_losses_and_the_end() -> None:
                 if infos[agent]["lost"]:
                     lost += 1
                     expected[agent] -= 7.0
+                    assert (observations[agent] == before[agent]).all(), "a lost robot keeps the last that it saw"
                     assert terminations[agent]
                 elif won:
                     finished += 1

@@ -797,9 +797,9 @@ def step(world, rules, learner, lane):
 
 @_entry
 def observe(world, rules, lane):
-    """Find every robot's input, the lost ones' included (what each saw where it was lost)."""
-    for r in range(lane.robots.shape[0]):
-        sense(world, rules, lane, lane.robots[r])
+    """Find the input of every living robot; a lost one keeps the last that it saw."""
+    for i in range(lane.count[0].alive):
+        sense(world, rules, lane, lane.robots[lane.roster[i]])
 
 
 # --- a trial ----------------------------------------------------------------------------------------------------

@@ -151,13 +151,10 @@ class Oracle:
         """[14] Choose the doors that hide a hostile, none of them next to the start."""
         if not isinstance(self.mission.hostiles, int):
             return set(self.mission.hostiles)
-        start = self.building.start
+        start, classes = self.building.start, self.building.feature_class.tolist()
         beside = [far for _, far, _ in self.ways[start]]
-        doors = [
-            v
-            for v in range(self.building.n_nodes)
-            if self.building.feature_class[v] == 4 and v != start and v not in beside
-        ]
+        hides = (4,) if 4 in classes else (2, 3, 4, 5)  # without any door, at any feature
+        doors = [v for v, kind in enumerate(classes) if kind in hides and v != start and v not in beside]
         chosen = set()
         for k in range(self.mission.hostiles):
             i = k + int(uniform(key, 0, PLACE_DRAW, k) * (len(doors) - k))

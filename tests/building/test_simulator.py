@@ -15,7 +15,8 @@ from oracle import Oracle
 from strategies import missions, reinforcements
 from tasklift.building import kernel
 from tasklift.building.generate import generate
-from tasklift.building.graph import FEATURE
+from tasklift.building.graph import FEATURE, ROOM, Building
+from tasklift.building.layout import CLASSES
 from tasklift.building.mission import Mission
 from tasklift.building.reading import Reading
 from tasklift.building.search import hostile_candidates, search_only
@@ -131,6 +132,20 @@ def test_kernel_agrees_with_oracle_in_sweeps(mission, reinforcement, weight_seed
 @given(missions(most_nodes=90, most_robots=60), reinforcements, st.integers(0, 2**31), st.integers(0, 2**40))
 def test_kernel_agrees_with_oracle_on_large_teams_and_buildings(mission, reinforcement, weight_seed, seed):
     agree(mission, reinforcement, weight_seed, seed, sweep=False, learn=True, trials=1)
+
+
+@pytest.mark.parametrize("patience", [1, 7])
+def test_corridors_with_more_robots_than_are_foreseen_agree_too(patience):
+    building = Building(
+        "hall", kind=[ROOM, FEATURE, ROOM], feature_class=[1, 4, 1], position_m=[(0, 0), (60, 0), (120, 0)],
+        area_m2=[12, 0, 20], obstacles=[0, 0, 0], edges=[(0, 1), (1, 2)], length_m=[60, 60], width_m=[2, 2], start=0,
+    )  # fmt: skip
+    team = {SCOUT: 14, WEAPON: 12, Kind("tank", 700, True): 10, Kind("bee", 2600, False): 14}
+    mission = Mission(building, team, hostiles=(1,), reading=Reading(patience=patience), weapons_needed=5, limit=80)
+    agree(mission, Reinforcement(), weight_seed=0, seed=patience, sweep=False, learn=True, trials=1)
+    robots = mission.simulator.trace(Policy.equal(mission.task), seed=patience).robots
+    crowds = [{(p, v) for p, v in frame[frame["half"] == 0][["progress", "pace"]].tolist()} for frame in robots]
+    assert max(map(len, crowds)) > CLASSES
 
 
 # --- whole runs --------------------------------------------------------------------------------------------------

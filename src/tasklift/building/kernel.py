@@ -3,6 +3,9 @@
 ``tests/oracle.py`` is the same world in plain Python and the better first read; the tests hold this file to it
 step by step. The phases of a step stand in the order of rule 1 of ``docs/reading.md``.
 
+The oracle looks at every robot in every phase. Here most robots sleep through a step, since nothing can change for them
+but their progress: :func:`plan` says when each must be looked at again, and decision 43 in ``docs/`` why that is exact.
+
 Contract of everything here: **no bounds checks, no validation**. :mod:`tasklift.building.simulator` validates,
 allocates and seeds; these functions fill what they are given. :mod:`tasklift.building.layout` tells the shape of
 everything that comes in: ``world``, ``rules``, ``learner`` and ``lane`` are its tuples, and a robot, site or team is a

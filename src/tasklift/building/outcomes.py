@@ -62,10 +62,10 @@ class Trace:
     weights
         ``float64 (S, A)``: at the start of the trial.
     robots
-        Records ``(F, R)`` of :data:`tasklift.building.layout.ROBOT`: ``alive``, ``node`` (the last), ``half``
-        (-1 at a node), ``progress`` (mm), ``dl``, ``alert``, ``row`` (input of the full task), ``pair_row`` and
-        ``out`` (row and output of the last decision, in the learned task), ``since`` (1: decided in this step),
-        ``team``.
+        Records ``(F, R)`` with the fields of :data:`tasklift.building.layout.ROBOT` and ``since``. Among them:
+        ``alive``, ``node`` (the last), ``half`` (-1 at a node), ``progress`` (mm), ``dl``, ``alert``, ``row`` (input
+        of the full task), ``pair_row`` and ``out`` (row and output of the last decision, in the learned task),
+        ``since`` (steps since then, 1: decided in this step), ``team``.
     hostile, resolved
         ``bool (F, N)``: where a hostile stands; which features are resolved.
     failed

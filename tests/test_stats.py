@@ -50,7 +50,7 @@ def test_five_seeds_or_fewer_get_no_verdict_and_no_interval(n):
     for name, draw in simulation.NULLS.items():
         values = draw(np.random.default_rng((n, *name.encode())), n) + 100
         for found in (stats.compare(values), stats.ratio(values, values + 1), stats.equivalent(values, margin=1000)):
-            assert found.verdict == "too few seeds"
+            assert found.verdict == "too few"
             assert found.says == f"too few seeds ({n} of at least 6)"
             assert (found.interval.low, found.interval.high) == (-math.inf, math.inf)
             assert "inf" not in str(found)
@@ -253,7 +253,7 @@ def test_a_share_is_scipys_clopper_pearson(n, data):
     limits = theirs.proportion_ci(0.95, "exact")
     assert (found.interval.low, found.interval.high) == pytest.approx((limits.low, limits.high))
     assert found.p == pytest.approx(theirs.pvalue)
-    assert (found.verdict == "too few seeds") == (n < 6)
+    assert (found.verdict == "too few") == (n < 6)
 
 
 def test_equivalence_is_two_one_sided_tests():

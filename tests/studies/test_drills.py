@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tasklift import stats
 from tasklift.building.generate import generate
 from tasklift.building.mission import Mission
 from tasklift.building.search import hostile_candidates
@@ -17,7 +18,7 @@ from tasklift.lab import FILE_NAME, CellResult, Store, run
 from tasklift.learning.curriculum import Curriculum
 from tasklift.studies.arms import ARMS, COUNTED, DRILLS, EVERY_DOOR, LOSS_SIGNAL, SELECTIONS, Drilling, Setup
 from tasklift.studies.drills import report as drill_report
-from tasklift.studies.drills.report import BEGIN, END, chosen, contrast, headline, paste, times, times_fewer
+from tasklift.studies.drills.report import BEGIN, END, after_holm, chosen, contrast, headline, paste, times, times_fewer
 from tasklift.studies.drills.study import (
     CHOSEN,
     DOORS,
@@ -169,55 +170,83 @@ def judged(first, second):
     return contrast(first, second, name=DRILL, hostiles=1, resamples=500)
 
 
-def test_all_three_verdicts_for_the_right_reason():
+def test_all_verdicts_for_the_right_reason():
     rng = np.random.default_rng(0)
     direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
     better = judged(arm(rng, losses=0.2, solved=0.95), direct)
     assert better.holds
-    assert better.verdict(better.late_share) == "holds"
-    assert better.all_share.low < 1 / (1 + 20) < better.all_share.high  # 100 x .2 against 400 x 1
-    # fewer in all, since drills lose nobody, and yet more in the last 100 trials: both are said
+    assert better.everything.fewer.verdict == "holds"
+    assert (better.safe, better.dangerous) == (300, 100)
+    ratio = better.first.fewer.interval
+    assert ratio.low < 5 < ratio.high  # 100 x 1 against 100 x .2
+    # fewer in all, since drills lose nobody, and yet more in as many trials: like with like is what counts
     late = judged(arm(rng, losses=2.0, solved=0.95), direct)
-    assert late.holds
-    assert late.verdict(late.late_share) == "does not hold"
+    assert late.everything.fewer.verdict == "holds"
+    assert late.last.fewer.verdict == late.first.fewer.verdict == "does not hold"
+    assert not late.holds
     assert "more" in headline([late])[0]
     # who never moves loses nothing, and solves nothing
     still = judged(arm(rng, losses=0.0, solved=0.0), direct)
-    assert still.verdict(still.all_share) == "does not hold"
-    assert times_fewer(still.all_share) == "∞ [∞, ∞]"
+    assert still.first.fewer.verdict == still.everything.fewer.verdict == "does not hold"
+    assert times_fewer(still.first.fewer) == "none lost"
     worse = judged(arm(rng, losses=8.0, solved=0.95), direct)
-    assert worse.verdict(worse.all_share) == "does not hold"
+    assert worse.everything.fewer.verdict == "does not hold"
     # as many losses, from the same runs in another order
-    same = judged(replace(arm(rng, losses=1.0, solved=0.95), losses=4 * direct.losses[::-1, :COUNTED]), direct)
-    assert same.verdict(same.all_share) == "undecided"
+    same = judged(replace(arm(rng, losses=1.0, solved=0.95), losses=direct.losses[::-1, -COUNTED:]), direct)
+    assert same.last.fewer.verdict == "undecided"
+    few = {"maps": 1, "seeds": 3}
+    few = judged(arm(rng, losses=0.2, solved=0.95, **few), arm(rng, losses=1, solved=0.9, trials=400, **few))
+    assert few.first.fewer.says == "too few seeds (3 of at least 6)"
+    assert "∞" not in " ".join(map(str, drill_report.rows([few, still])[0]))
 
 
-def test_the_headline_names_what_holds_or_that_nothing_does():
+def test_fewer_losses_count_only_where_the_task_is_solved_as_often():
+    """A difference that is not shown to be less than five points leaves the verdict open."""
+    rng = np.random.default_rng(3)
+    direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
+    vague = arm(rng, losses=0.2, solved=0.9)
+    runs = rng.random(len(vague.success)) < 0.9  # whole runs fail or succeed
+    vague = replace(vague, success=np.repeat(runs[:, None] * 1.0, COUNTED, axis=1))
+    found = judged(vague, replace(direct, success=direct.success * 0 + vague.success[::-1].mean()))
+    assert found.last.fewer.verdict == "undecided"
+    alone = stats.ratio(direct.losses[:, -COUNTED:].sum(axis=1), vague.losses.sum(axis=1), better="greater")
+    assert alone.verdict == "holds"
+
+
+def test_the_headline_says_what_is_lost_after_arrival_and_the_price():
     rng = np.random.default_rng(1)
     direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
     good = judged(arm(rng, losses=0.2, solved=0.95), direct)
     bad = replace(judged(arm(rng, losses=8.0, solved=0.5), direct), hostiles=2)
-    line, *others = headline([good, bad])
-    assert not others
-    assert "times fewer with 1 hostile." in line
-    assert times_fewer(good.all_share) in line
-    assert "Not so with 2 hostiles" in line
-    assert headline([bad])[0].startswith("**No contrast")
-    assert "drill 300, q = .9: no contrast holds" in headline([bad])[1]
+    (line,) = headline([good, bad])
+    assert f"fewer with 1 hostile ({times_fewer(good.first.fewer)} times)" in line
+    assert "more, or T solved less often, with 2 hostiles" in line
+    assert "300 safe and 100 dangerous trials instead of 400 dangerous ones" in line
+    assert f"{good.lost:.3g} instead of {good.everything.lost:.3g} (1)" in line
     other = replace(good, arm=main_arms("q90")[2], lost=0.0)
-    assert [says[2:].partition(":")[0] for says in headline([good, bad, other])] == [
+    assert [says[2:].partition("**")[0] for says in headline([good, bad, other])] == [
         "every-door drill 300, q = .9",
         "drill 300, q = .9",
     ]
 
 
+def test_all_tables_are_judged_together():
+    rng = np.random.default_rng(1)
+    direct = arm(rng, losses=1.0, solved=0.9, trials=COUNTED + 300)
+    found = [judged(arm(rng, losses=0.93, solved=0.95), direct) for _ in range(20)]
+    together = after_holm({"one": found[:10], "other": found[10:]})
+    assert [c.lost for c in together["one"] + together["other"]] == [c.lost for c in found]
+    pairs = list(zip(found, together["one"] + together["other"], strict=True))
+    assert all(before.last.fewer.p <= after.last.fewer.p for before, after in pairs)
+    assert any(before.last.fewer.p < after.last.fewer.p for before, after in pairs)
+    assert all(before.last.fewer.interval == after.last.fewer.interval for before, after in pairs)
+
+
 def test_times_fewer_is_the_ratio_of_means():
-    first, second = np.array([1.0, 0.0, 2.0]), np.array([10.0, 20.0, 30.0])
-    share = drill_report.share_of_losses(first, second)
-    assert (1 - share) / share == pytest.approx(second.mean() / first.mean())
-    assert times(float(share)) == "20"
-    assert times(0.5) == "1.0"
-    assert drill_report.share_of_losses(np.zeros(3), np.zeros(3)) == 0.5
+    found = stats.ratio([10.0, 20.0, 30.0, 25.0, 15.0, 20.0], [1.0, 0.0, 2.0, 1.0, 1.0, 1.0], better="greater")
+    assert found.estimate == pytest.approx(120 / 6)
+    assert times_fewer(found) == "20 (no interval)"  # five that lose somebody are too few
+    assert [times(x) for x in (0.5, 1.0, 20.0, 124.2)] == ["0.5", "1.0", "20", "124"]
 
 
 def test_unpaired_or_too_short_references_are_refused():

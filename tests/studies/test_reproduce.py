@@ -70,9 +70,15 @@ def test_the_claims_table_has_a_verdict_for_every_claim_and_preset(reproduction)
     with open(reproduction / "claims.csv") as file:
         rows = list(csv.DictReader(file))
     assert {(row["claim"], row["condition"]) for row in rows} == {(c, p) for c in CLAIMS for p in PRESETS}
-    assert {row["verdict"] for row in rows} <= {"holds", "does not hold", "undecided"}
+    # four seeds decide nothing that is asked of each of them alone
+    assert {row["verdict"].partition(" (")[0] for row in rows if row["claim"] not in ("C1", "C2")} == {
+        "too few seeds", "too few maps",
+    }  # fmt: skip
     for row in rows:
-        assert float(row["low"]) <= float(row["estimate"]) <= float(row["high"])
+        # of a mean over four seeds there is no interval
+        assert (row["low"] == "") == (row["claim"] not in ("C1", "C2", "C12"))
+        if row["low"]:
+            assert float(row["low"]) <= float(row["estimate"]) <= float(row["high"])
 
 
 def test_the_summary_quotes_the_same_verdicts(reproduction):

@@ -12,7 +12,6 @@ all this errs; docs/quality.md has the figures. Every random result follows from
 """
 
 from tasklift.stats.curves import Times, mean_band, median_time, time_to_threshold
-from tasklift.stats.old import bootstrap, equivalence, paired_difference, sign_flip_test, verdict
 from tasklift.stats.paired import LEVEL, PairedTest, seeds_needed
 from tasklift.stats.verdicts import (
     Comparison,
@@ -38,18 +37,13 @@ __all__ = [
     "Verdict",
     "after_holm",
     "benjamini_hochberg",
-    "bootstrap",
     "compare",
-    "equivalence",
     "equivalent",
     "holm",
     "mean_band",
     "median_time",
-    "paired_difference",
     "ratio",
     "seeds_needed",
     "share",
-    "sign_flip_test",
     "time_to_threshold",
-    "verdict",
 ]

@@ -151,9 +151,15 @@ class PairedTest:
         return (max(flips, below), 1.0) if mean < 0 else (1.0, max(flips, above))
 
     @property
+    def error(self) -> float:
+        """Standard error of the estimate; nan where the mean of v is zero."""
+        scale = abs(float(self._total[1].sum())) / self.n
+        return self._observed(self.estimate)[1] / scale if scale else math.nan
+
+    @property
     def shown(self) -> bool:
         """Whether there is an interval: seeds enough, and a spread."""
-        return self.n >= seeds_needed() and self._observed(self.estimate)[1] > 0
+        return self.n >= seeds_needed() and self.error > 0
 
     def limits(self, confidence: float) -> tuple[float, float]:
         """Return the ends of what is not rejected on either side; infinite where nothing is, or without interval."""
@@ -161,8 +167,7 @@ class PairedTest:
             raise TaskliftError(f"stats: confidence {confidence}, expected a share between 0 and 1")
         if not self.shown:
             return -math.inf, math.inf
-        step = self._observed(self.estimate)[1] / abs(float(self._total[1].sum()) / self.n)
-        return self._end(-step, (1 - confidence) / 2), self._end(step, (1 - confidence) / 2)
+        return self._end(-self.error, (1 - confidence) / 2), self._end(self.error, (1 - confidence) / 2)
 
     def _end(self, step: float, tail: float) -> float:
         """Return the θ beyond which all are rejected, searched for in the direction of the step."""

@@ -14,7 +14,7 @@ from tasklift.errors import TaskliftError
 from tasklift.stats.paired import LEVEL, RESAMPLES, Floats, PairedTest, floats, seeds_needed
 
 Direction = Literal["less", "greater"]
-Verdict = Literal["holds", "does not hold", "undecided", "too few seeds"]
+Verdict = Literal["holds", "does not hold", "undecided", "too few"]
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,13 @@ class Comparison:
     interval
         Of the quantity that was compared.
     p
-        Two-sided; after :func:`after_holm` adjusted for all that were asked together.
-    n, needed
-        Seeds, and the fewest with which p can reach 5 %.
+        Two-sided; after :func:`after_holm` adjusted for all that were asked together. nan: the estimate decides.
+    n, needed, unit
+        Seeds (or maps, or trials), and the fewest with which p can reach 5 %.
     favours
         Whether the estimate lies on the side that was asked about.
+    error
+        Standard error of the estimate.
     """
 
     interval: Interval
@@ -72,6 +74,8 @@ class Comparison:
     n: int
     needed: int
     favours: bool
+    error: float = math.nan
+    unit: str = "seeds"
 
     @property
     def estimate(self) -> float:
@@ -80,9 +84,9 @@ class Comparison:
 
     @property
     def verdict(self) -> Verdict:
-        """``holds`` or ``does not hold`` where p is at most 5 %; else ``undecided`` or ``too few seeds``."""
+        """``holds`` or ``does not hold`` where p is at most 5 %; else ``undecided`` or ``too few``."""
         if self.n < self.needed:
-            return "too few seeds"
+            return "too few"
         if self.p > LEVEL:
             return "undecided"
         return "holds" if self.favours else "does not hold"
@@ -91,7 +95,7 @@ class Comparison:
     def says(self) -> str:
         """The verdict for people: ``"too few seeds (3 of at least 6)"`` says how many."""
         verdict = self.verdict
-        return f"{verdict} ({self.n} of at least {self.needed})" if verdict == "too few seeds" else verdict
+        return f"too few {self.unit} ({self.n} of at least {self.needed})" if verdict == "too few" else verdict
 
     def __str__(self) -> str:
         return f"{self.interval}, p = {self.p:.2g}: {self.says}"
@@ -197,7 +201,7 @@ def _paired(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 def _compared(test: PairedTest, interval: Interval, reference: float, better: Direction) -> Comparison:
     below, above = test.sides(reference)
     favours = (below if gain(better) < 0 else above) < 1
-    return Comparison(interval, min(1.0, 2 * min(below, above)), test.n, seeds_needed(), favours)
+    return Comparison(interval, min(1.0, 2 * min(below, above)), test.n, seeds_needed(), favours, test.error)
 
 
 def equivalent(
@@ -224,10 +228,17 @@ def equivalent(
     else:
         p = min(1.0, 2 * (test.sides(margin)[1] if test.estimate > 0 else test.sides(-margin)[0]))
     found = Interval(test.estimate, *test.limits(0.90), 0.90, test.n)
-    return Comparison(found, p, test.n, seeds_needed(), inside)
+    return Comparison(found, p, test.n, seeds_needed(), inside, test.error)
 
 
-def share(successes: int, trials: int, *, better: Direction = "greater", reference: float = 0.5) -> Comparison:
+def share(
+    successes: int,
+    trials: int,
+    *,
+    better: Direction = "greater",
+    reference: float = 0.5,
+    unit: str = "trials",
+) -> Comparison:
     """Compare a share of independent trials with a number, exactly (Clopper & Pearson 1934).
 
     Examples
@@ -245,7 +256,8 @@ def share(successes: int, trials: int, *, better: Direction = "greater", referen
     needed = math.ceil(math.log(LEVEL / 2) / math.log(min(reference, 1 - reference)))
     found = Interval(successes / trials, low, high, 0.95, trials)
     favours = gain(better) * (found.estimate - reference) > 0
-    return Comparison(found, min(1.0, 2 * float(min(tails))), trials, needed, favours)
+    error = math.sqrt(found.estimate * (1 - found.estimate) / trials)
+    return Comparison(found, min(1.0, 2 * float(min(tails))), trials, needed, favours, error, unit)
 
 
 def _vector(values: ArrayLike) -> Floats:
@@ -273,13 +285,12 @@ def after_holm(found: Sequence[Comparison]) -> list[Comparison]:
 
     Intervals stay as they are: 95 % each.
     """
-    if not found:
-        return []
-    needed, adjusted = seeds_needed(len(found)), holm([one.p for one in found])
-    return [
-        replace(one, p=float(p), needed=one.needed if p <= LEVEL else max(one.needed, needed))
-        for one, p in zip(found, adjusted, strict=True)
-    ]
+    result = list(found)
+    tested = [i for i, one in enumerate(found) if not math.isnan(one.p)]
+    for i, p in zip(tested, holm([found[i].p for i in tested]) if tested else [], strict=True):
+        needed = found[i].needed if p <= LEVEL else max(found[i].needed, seeds_needed(len(tested)))
+        result[i] = replace(found[i], p=float(p), needed=needed)
+    return result
 
 
 def benjamini_hochberg(p: ArrayLike) -> Floats:

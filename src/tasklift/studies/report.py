@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from tasklift.lab import FILE_NAME, Store
 from tasklift.report.charts import Series
 from tasklift.report.page import Report
 from tasklift.studies.arms import ARMS, Arm
-from tasklift.studies.claims import CLAIMS, LAST, Finding, holm_adjusted, indirect
+from tasklift.studies.claims import CLAIMS, LAST, Finding, indirect
 from tasklift.studies.samples import Sample
 from tasklift.studies.study import Study
 
@@ -116,12 +117,14 @@ def write_claims(findings: Sequence[Finding], path: Path) -> None:
     """Write the findings as CSV, one per line."""
     rows: list[list[Any]] = [
         ["claim", "condition", "arm", "reference", "use", "measure", "estimate", "low", "high", "side", "bound",
-         "verdict", "p", "p_holm", "note"]
+         "verdict", "p_holm", "note"]
     ]  # fmt: skip
-    for f, p in zip(findings, holm_adjusted(findings), strict=True):
+    for f in findings:
+        ends = (x if math.isfinite(x) else None for x in (f.interval.estimate, f.interval.low, f.interval.high))
+        p = None if math.isnan(f.found.p) else f.found.p
         rows.append(
-            [f.claim, f.condition, f.arm, f.reference, f.use, CLAIMS[f.claim].measure, f.interval.estimate,
-             f.interval.low, f.interval.high, f.side, f.bound, f.verdict, f.p, p, f.note]
+            [f.claim, f.condition, f.arm, f.reference, f.use, CLAIMS[f.claim].measure, *ends, f.side, f.bound,
+             f.found.says, p, f.note]
         )  # fmt: skip
     write_csv(rows, path)
 
@@ -129,11 +132,11 @@ def write_claims(findings: Sequence[Finding], path: Path) -> None:
 def finding_rows(findings: Sequence[Finding], arms: Mapping[str, Arm] = ARMS) -> list[list[Any]]:
     """Return the measures behind the verdicts: one row per finding, in the order of the claims."""
     order, rows = list(CLAIMS), []
-    adjusted = holm_adjusted(findings)
-    for f, p in sorted(zip(findings, adjusted, strict=True), key=lambda pair: order.index(pair[0].claim)):
-        chance = "" if p is None else ("< 0.001" if p < 0.001 else f"{p:.3f}")
+    for f in sorted(findings, key=lambda f: order.index(f.claim)):
+        p = f.found.p
+        chance = "" if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
         rows.append(
-            [f.claim, f.condition, f.contrast(arms), str(f.interval), f.holds_if, f.verdict, chance, f.note]
+            [f.claim, f.condition, f.contrast(arms), str(f.interval), f.holds_if, f.found.says, chance, f.note]
         )
     return rows
 
@@ -160,7 +163,7 @@ def glance(
         for condition, arm in pairs:
             of_arm = about(findings, condition, arm, arms)
             of_all = [f for f in findings if f.condition == condition and claim.of in ("v", "direct")]
-            row.append(next((f.verdict for f in (*of_arm, *of_all) if f.claim == name), None))
+            row.append(next((f.found.says for f in (*of_arm, *of_all) if f.claim == name), None))
         rows.append(row)
     return ["claim", "the paper", "where", *(f"{c}, {arms[arm].label}" for c, arm in pairs)], rows
 
@@ -174,7 +177,7 @@ def add_curves(report: Report, samples: Mapping[str, Sample], title: str, arms: 
     for column, label in (("steps", "steps"), ("robots_left", "robots left"), ("teams_left", "teams left")):
         series = []
         for slug in drawn:
-            band = stats.mean_band(getattr(samples[slug], column), strata=samples[slug].maps, resamples=1000)
+            band = stats.mean_band(getattr(samples[slug], column), strata=samples[slug].maps)
             series.append(Series(arms[slug].label, band.estimate, band.low, band.high, slug))
         report.curves(series, title=f"{title}: {label}", y_label=label, x_label="trial")
 

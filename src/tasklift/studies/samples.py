@@ -144,11 +144,6 @@ class Sample:
         """Trials of every kind: V's traversals, drills, and trials on T."""
         return int(sum(trials for trials, *_ in self.spent.values()))
 
-    @property
-    def strata(self) -> NDArray[np.str_] | None:
-        """The maps, within which seeds are resampled; None where a map has one seed only, which cannot vary."""
-        return self.maps if np.unique(self.maps, return_counts=True)[1].min() > 1 else None
-
     def last(self, trials: int) -> Sample:
         """Return the same with only the last trials on T."""
         cut = {name: getattr(self, name)[:, -trials:] for name in ("steps", "losses", "success")}

@@ -215,7 +215,7 @@ def judge(
     levels
         The design.
     resamples
-        Bootstrap resamples per interval.
+        Per test.
     progress
         As in :func:`tasklift.lab.run`.
     """

@@ -22,9 +22,9 @@ from tasklift.building.simulator import edge_cost_mm, search_steps
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, Store
-from tasklift.stats import Interval, bootstrap, holm
+from tasklift.stats import Interval, compare, holm
 from tasklift.studies.arms import SOURCE
-from tasklift.studies.claims import NO_TREND, map_intervals
+from tasklift.studies.claims import NO_TREND, on_maps
 from tasklift.studies.samples import SLOPE, Coverage
 from tasklift.studies.study import Condition, Part, Study, generated
 
@@ -158,8 +158,8 @@ class Survey:
         steep, level = self.choose()
         return names[steep], names[level]
 
-    def slope_interval(self, name: str, half: Half = "odd", confidence: float = 0.95) -> Interval:
-        """Return the interval of a map's mean slope over seeds (weight per unit of CA).
+    def slope_interval(self, name: str, half: Half = "odd") -> Interval:
+        """Return the 95 % interval of a map's mean slope over seeds (weight per unit of CA).
 
         Parameters
         ----------
@@ -167,11 +167,9 @@ class Survey:
             Of the map.
         half
             Which seeds.
-        confidence
-            Of the interval.
         """
         of = self.maps[name]
-        return bootstrap(np.mean, of.slopes[of.rows(half)], confidence=confidence)
+        return compare(of.slopes[of.rows(half)]).interval
 
     def margin(self, name: str, half: Half = "odd") -> float:
         """Return C2's margin on a map: the slope (weight per unit of CA) that still counts as no trend.
@@ -186,8 +184,8 @@ class Survey:
 
     def in_words(self) -> str:
         """Say what came out over all maps, which maps are shown, and what in a map makes the difference."""
-        falls = map_intervals(self.coverage, self.coverage.slopes, 0.95)
-        level = map_intervals(self.coverage, self.coverage.changes, 0.90)
+        falls = [one.verdict for one in on_maps(self.coverage, self.coverage.slopes, "below", 0.0).values()]
+        level = [one.verdict for one in on_maps(self.coverage, self.coverage.changes, "within", NO_TREND).values()]
         shown = [
             f"map ({letter}) is {self.maps[name].building.name!r}, slope {self.slope_interval(name)}"
             for letter, name in zip("ab", self.shown(), strict=True)
@@ -205,11 +203,9 @@ class Survey:
         )
         return (
             f"V was learned on {len(self.maps)} maps. The weights fall as CA rises on "
-            f"{sum(interval.high < 0 for interval in falls.values())} of them, rise on "
-            f"{sum(interval.low > 0 for interval in falls.values())}, and the trial time changes by less than 5 % on "
-            f"{sum(i.low > -NO_TREND and i.high < NO_TREND for i in level.values())} (all seeds; simultaneous "
-            f"intervals, 95 % and 90 %). Chosen by the even seeds and measured on the odd ones, {'; '.join(shown)}. "
-            f"{why}"
+            f"{falls.count('holds')} of them, rise on {falls.count('does not hold')}, and the trial time changes by "
+            f"less than 5 % on {level.count('holds')} (all seeds; 5 % for all maps together). Chosen by "
+            f"the even seeds and measured on the odd ones, {'; '.join(shown)}. {why}"
         )
 
     def explain(self) -> list[tuple[str, float | None, float | None]]:

@@ -180,7 +180,7 @@ def test_a_finished_experiment_takes_more_seeds(tasklift, building):
     assert tasklift("train", building, "--seeds", 2, "--trials", 3, "--out", "run")[0] == 0
     code, out, _ = tasklift("runs", "list", ".")
     assert code == 0
-    assert "10" in out  # 5 arms × 2 seeds
+    assert "10 of 10" in out  # 5 arms × 2 seeds
 
 
 def test_training_takes_any_arms_and_refuses_unknown_ones(tasklift, building):

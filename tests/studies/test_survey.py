@@ -80,7 +80,10 @@ def test_slopes_and_margins(found):
     made = with_slopes(found, [-2 * margin, 0.9 * margin, 0.0, 2.0])
     np.testing.assert_allclose(made.mean_slopes(), [-2 * margin, 0.9 * margin, 0, 2], atol=1e-12)
     assert "rise on 0" in made.in_words()  # without a spread nothing can be said of chance
-    slopes = [v * margin + 1e-5 * (of.seeds % 2) for v, of in zip((-2, 0.9, 0, 900), found.maps.values(), strict=True)]
+    slopes = [
+        v * margin + 1e-5 * np.resize([1, -1], of.seeds.size)
+        for v, of in zip((-2, 0.9, 0, 900), found.maps.values(), strict=True)
+    ]
     assert "rise on 2" in with_slopes(found, slopes).in_words()
 
 

@@ -24,7 +24,7 @@ from tasklift.learning.learner import InTurn
 from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
 from tasklift.learning.search import PolicySearch
 from tasklift.learning.stage import Stage
-from tasklift.tasks.policy import Policy, set_weight, swap
+from tasklift.tasks.policy import Policy, forget, set_weight, swap
 from tasklift.tasks.prior import Prior
 
 #: Where a hostile may wait and the team is too weak for it: the unsafe rows that prior knowledge is about.
@@ -228,7 +228,7 @@ def expert(mission: Mission, member: tuple[float, float] | None = None) -> Polic
 # ---------------------------------------------------------------- curricula
 
 
-Start = Literal["equal", "copy", "prior", "copy-prior"]
+Start = Literal["equal", "copy", "prior", "copy-prior", "copy-forget"]
 
 
 def to_target(
@@ -248,7 +248,8 @@ def to_target(
         What it is made for.
     start
         What learning begins with. ``equal``: even weights. ``copy``: V's, copied. ``copy-prior``: then changed by
-        :data:`PRIOR`. ``prior``: even weights but where the prior speaks.
+        :data:`PRIOR`. ``copy-forget``: then without what V taught about MV. ``prior``: even weights but where the prior
+        speaks.
     budget
         Additional trials on T before those that count.
     drilling
@@ -266,7 +267,11 @@ def to_target(
     ['source', 'drill', 'target']
     """
     task, learner = on.mission.task, replace(on.reinforcement, **rules)
-    priors = {"copy-prior": PRIOR, "prior": prior_alone(on.reinforcement.initial_weight)}.get(start, ())
+    priors = {
+        "copy-prior": PRIOR,
+        "prior": prior_alone(on.reinforcement.initial_weight),
+        "copy-forget": (forget("MV"),),
+    }.get(start, ())
     stages = [] if start == "equal" else [source_stage(on)]
     if budget:
         stages.append(Stage("budget", task, on.world(), learner, trials=budget, prior=priors, key=BUDGET_STAGE))
@@ -441,11 +446,14 @@ DRILLS: tuple[Arm, ...] = (
       for slug, (label, start, drilling) in VARIANTS.items()),
 )  # fmt: skip
 
+#: Extending V and forgetting on purpose what it cannot know: when to stop.
+FORGET = Arm("copy-forget", "copy+forget", "copy, with what V taught about stopping spread evenly again",
+             partial(to_target, start="copy-forget"), against=("direct", "direct-budget"), drawn=True)  # fmt: skip
 #: What is ours, and handed over to users.
 SEARCH = Arm("search", "policy search in drills", "searches whole policies in practice with a hostile at every door; "
              "meets the dangerous task with what it found", searching, drawn=True, mixed=True)  # fmt: skip
 #: Every arm by its slug.
-ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, SEARCH, *DRILLS)}
+ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, FORGET, SEARCH, *DRILLS)}
 
 
 def arms_named(slugs: Iterable[str], known: Mapping[str, Arm] = ARMS) -> tuple[Arm, ...]:

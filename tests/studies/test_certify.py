@@ -14,17 +14,20 @@ from scipy.stats import binom
 
 from tasklift.building import Mission, generate
 from tasklift.errors import TaskliftError
+from tasklift.lab import FILE_NAME, Store, run
 from tasklift.studies.certify import (
     Bounds,
     Counts,
     Ground,
     Sizes,
     certify,
+    learning_costs,
     quantile_bound,
     runs_needed,
     share_bounds,
     verify,
 )
+from tasklift.studies.study import Condition, Record, Study
 from tasklift.tasks.policy import Policy
 
 PLACE = generate(9, 11, 3, 6, seed=5)
@@ -215,3 +218,17 @@ def test_a_policy_of_another_task_and_a_certificate_that_is_there_are_refused(fi
     certify(files / "policy.json", team="4+5", episodes=20)
     with pytest.raises(TaskliftError, match="is there already"):
         certify(files / "policy.json", team="4+5", episodes=20)
+
+
+def test_what_learning_costs_is_bounded_where_there_are_runs_enough(tmp_path: Path) -> None:
+    study = Study.every({"house": PLACE}, {"scattered": Condition()}, ("direct", "expert"), seeds=60, trials=3,
+                        team="4+5", record=Record(policy=False))  # fmt: skip
+    with Store.open(tmp_path / FILE_NAME, study.spec("a test")) as store:
+        run(store, [cell for cell in study.cells() if int(cell["seed"]) < 58 or cell["arm"] == "direct"], study.work)
+        lost = sorted(int(result.stages["target"]["losses"].sum()) for _, result in store.select(arm="direct"))
+    (line,) = learning_costs(tmp_path)
+    assert line.startswith(f"reading scattered, map house, arm direct: 95 % of runs lose at most {lost[-1]} robots")
+    (line,) = learning_costs(tmp_path, share=0.99)
+    assert line.endswith("60 runs bound nothing, 299 are needed")
+    with pytest.raises(TaskliftError):
+        learning_costs(tmp_path / "nowhere")

@@ -26,7 +26,8 @@ from tasklift.cli.terminal import say
 @click.option("-o", "--out", type=path, help="The certificate.  [default: POLICY-certificate.json]")
 @click.option("--force", is_flag=True, help="Replace a certificate that is there.")
 @click.option("--verify", type=path, help="Recompute this certificate instead, and say whether it holds.")
-def certify_command(policy: Path | None, verify: Path | None, **options: Any) -> None:
+@click.option("--learning", type=path, help="Bound what learning cost in this experiment's folder instead.")
+def certify_command(policy: Path | None, verify: Path | None, learning: Path | None, **options: Any) -> None:
     """Bound what a policy solves and loses, on fresh episodes; write a certificate.
 
     The unit is an episode (trial) on one building, or with --buildings an episode on a fresh building each.
@@ -38,8 +39,11 @@ def certify_command(policy: Path | None, verify: Path | None, **options: Any) ->
             says = certify.verify(verify, show)
         say(f"holds: {says}")
         return
+    if learning is not None:
+        say("\n".join(certify.learning_costs(learning)))
+        return
     if policy is None:
-        raise click.UsageError("expected a policy, or --verify and a certificate")
+        raise click.UsageError("expected a policy, --verify and a certificate, or --learning and a folder")
     with progress() as show:
         made = certify.certify(policy, progress=show, **options)
     say(made.says)

@@ -29,6 +29,7 @@ from tasklift.building.team import Kind, parse_team
 from tasklift.checks import check_fields, number, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, output_file, read_bytes, read_document, write_atomically
+from tasklift.lab import FILE_NAME, Store
 from tasklift.learning.chances import CERTIFY_STAGE
 from tasklift.plans.read import load_building
 from tasklift.tasks.policy import Policy
@@ -271,6 +272,42 @@ def runs_needed(share: float = 0.95, confidence: float = 0.95) -> int:
     59
     """
     return int(np.ceil(np.log(1.0 - confidence) / np.log(share)))
+
+
+def learning_costs(folder: Path, share: float = 0.95, confidence: float = 0.95) -> list[str]:
+    """Say, for every method and condition of an experiment, how many robots its runs lose before they are done.
+
+    Parameters
+    ----------
+    folder : Path
+        Of `tasklift train` or another experiment with missions.
+    share, confidence : float
+        As in :func:`quantile_bound`.
+
+    Raises
+    ------
+    TaskliftError
+        If there is no experiment, or it keeps no losses.
+    """
+    checked_confidence(confidence)
+    runs: dict[str, list[int]] = {}
+    with Store.read(folder / FILE_NAME) as store:
+        for cell, result in store.select():
+            lost = [result.stages[stage]["losses"] for stage in ("budget", "target") if stage in result.stages]
+            if lost and cell["arm"] not in ("random", "expert"):
+                name = ", ".join(f"{axis} {value}" for axis, value in cell.axes.items() if axis != "seed")
+                runs.setdefault(name, []).append(int(sum(column.sum() for column in lost)))
+    if not runs:
+        raise TaskliftError(f"{folder}: keeps no losses of episodes on the dangerous task")
+    lines = []
+    for name, losses in runs.items():
+        bound = quantile_bound(losses, share, confidence)
+        if bound is None:
+            lines.append(f"{name}: {len(losses)} runs bound nothing, {runs_needed(share, confidence)} are needed")
+            continue
+        sure = f"{len(losses)} runs, {100 * confidence:g} % sure"
+        lines.append(f"{name}: {100 * share:g} % of runs lose at most {bound:g} robots before they are done ({sure})")
+    return lines
 
 
 def statement(counts: Counts, bounds: Bounds, confidence: float, unit: str) -> str:

@@ -281,14 +281,15 @@ def _hear(world, lane, robot):
 def alert(world, lane, began):
     """Spread the suspicion of robots that stop at an unresolved feature.
 
-    Who suspects nothing has heard of no earlier stop. So only a stop that has just begun, or a robot that is awake
-    since it came to another node, can change that.
+    Who suspects nothing has heard of no earlier stop. So nothing changes but by a stop that has just begun, and for a
+    robot that ``listens``: it came to another node, or its suspicion was resolved.
     """
     count = lane.count[0]
     for i in range(count.alive if began else count.awake):
         robot = lane.robots[lane.roster[i] if began else lane.awake[i]]
-        if robot.dl == 0:
+        if robot.dl == 0 and (began or robot.listens == 1):
             _hear(world, lane, robot)
+        robot.listens = 0
 
 
 @_inline
@@ -486,6 +487,7 @@ def encounter(rules, learner, lane):
         if about >= 0 and sites[about].resolved == 1:
             robot.dl = 0
             robot.alert = -1
+            robot.listens = 1
         if news >= 0:
             robot.dl = 2
             robot.alert = news
@@ -517,6 +519,7 @@ def arrive(world, lane, r):
     robot.progress = 0
     robot.pace = 0
     robot.due = 1
+    robot.listens = 1
     lane.maps[r, half.edge >> 6] |= np.uint64(1) << np.uint64(half.edge & 63)
     count.arrivals += 1
     if lane.visited[half.edge] == 0:
@@ -724,6 +727,10 @@ def plan(world, rules, learner, lane, place):
     r = lane.places[place].first
     while r >= 0:
         robot = robots[r]
+        if robot.due == 1:  # it has just arrived
+            robot.wake = tick + 1
+            r = robot.after
+            continue
         wakes = robot.decided + rules.patience
         if robot.half >= 0:
             pace = np.int64(0)
@@ -753,7 +760,7 @@ def plan(world, rules, learner, lane, place):
                 wakes = tick + 1
         elif _stops(world, learner, lane, robot) != robot.stopping:
             wakes = tick + 1
-        if robot.due == 1 or _input(world, rules, lane, robot) != robot.row:
+        if _input(world, rules, lane, robot) != robot.row:
             wakes = tick + 1
         if robot.wake != tick + 1:  # else a fight or an alert has woken it
             robot.wake = wakes
@@ -878,6 +885,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.stopping = 0
         robot.dl = 0
         robot.alert = -1
+        robot.listens = 1
         robot.decisions = 0
         robot.choices = 0
         put_in(lane, r, rules.start)

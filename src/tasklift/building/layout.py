@@ -25,7 +25,7 @@ ROBOT = _record(
     alive="i8", node="u4", half="i8", next="i8", came="i8", progress="i8", pace="i8",  # half, next, came: -1 for none
     due="i8", decided="i8", row="i8", pair_row="u4", out="u4", force="u4", repelled="i8", crossing="i8",
     dl="i8", alert="i8", team="u4", decisions="i8", choices="i8",
-    wake="i8", died="i8", stopping="i8", after="i8", before="i8",  # decided, wake, died: ticks
+    wake="i8", died="i8", stopping="i8", listens="i8", after="i8", before="i8",  # decided, wake, died: ticks
 )  # fmt: skip
 SITE = _record(
     hostile="i8", resolved="i8", unsearched="i8", armed_crossing="i8", stoppers="i8",

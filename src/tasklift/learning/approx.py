@@ -92,7 +92,7 @@ class Approximation:
         """
         positions = _all_positions(self.task) if inputs is None else self.task.input_positions(inputs)
         small = _Tree(positions, self.rows(positions), max_leaves, 1)
-        return "\n".join(_told(small.tree.tree_, 0, self.task, {}))
+        return "\n".join(_lines(small.tree.tree_, 0, self.task, {}))
 
 
 @dataclass(frozen=True)
@@ -295,10 +295,10 @@ def learn_approximate(
         whole_number(value, f"learn_approximate, {name}", least=1)
     if kind not in get_args(Kind):
         raise TaskliftError(f"learn_approximate: expected 'tree' or 'network', found {kind!r}")
-    whole = start.task if start is not None else task or world.task
-    base = start or Approximation(whole, _Zero(whole.shape[1]))
+    full = start.task if start is not None else task or world.task
+    base = start or Approximation(full, _Zero(full.shape[1]))
     current = base
-    collector, chances = _Collector(world, whole), Chances(seed, stage)
+    collector, chances = _Collector(world, full), Chances(seed, stage)
     for number in range(rounds):
         for i in range(trials):
             collector.trial(current, chances.of(number * trials + i), epsilon)
@@ -308,10 +308,10 @@ def learn_approximate(
             ahead = np.where(memory.ended, 0.0, current.rows(memory.after).max(axis=1))
             missing = memory.reward + discount * ahead - base_now
             parts: list[_Tree | _Network | None] = []
-            for output in range(whole.shape[1]):
+            for output in range(full.shape[1]):
                 chosen = memory.output == output
-                parts.append(_correction(kind, whole, memory.before[chosen], missing[chosen], leaf, hidden, seed))
-            current = Approximation(whole, _Corrected(base, parts), "value")
+                parts.append(_correction(kind, full, memory.before[chosen], missing[chosen], leaf, hidden, seed))
+            current = Approximation(full, _Corrected(base, parts), "value")
     return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
 
 
@@ -354,12 +354,12 @@ class _Collector:
         return self._rows[number]
 
     def trial(self, approximation: Approximation, rng: np.random.Generator, epsilon: float) -> None:
-        chances = np.empty(self.task.shape[1])
+        likely = np.empty(self.task.shape[1])
         here = self._number(self.world.start(rng))
         steps, losses, total = 0, 0, 0.0
         while True:
-            rules.probabilities(self._row(here, approximation), epsilon, 0.0, chances)
-            output = rules.draw(chances, rng.random())
+            rules.probabilities(self._row(here, approximation), epsilon, 0.0, likely)
+            output = rules.draw(likely, rng.random())
             answer = self.world.step(self.view.columns[output])
             steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
             there = here if answer.ended else self._number(answer.input)
@@ -471,13 +471,13 @@ class _Corrected:
 class _Extended:
     """An approximation seen from the task that its own task came from."""
 
-    def __init__(self, simple: Approximation, whole: Task, prior: tuple[Prior, ...]) -> None:
-        self.simple, self.whole, self.prior = simple, whole, prior
-        self.fates = simple.task.kept_positions(whole)
+    def __init__(self, simple: Approximation, full: Task, prior: tuple[Prior, ...]) -> None:
+        self.simple, self.full, self.prior = simple, full, prior
+        self.kept = simple.task.kept_positions(full)
 
     def rows(self, positions: Positions) -> Floats:
-        task, whole = self.simple.task, self.whole
-        ours = {v.name: k for k, v in enumerate(whole.inputs)}
+        task, full = self.simple.task, self.full
+        ours = {v.name: k for k, v in enumerate(full.inputs)}
         columns = [self._choices(positions[:, ours[v.name]], v) for v in task.inputs]
         # a value that a restriction left out gets the mean over those it kept, so ask for each of them
         total = np.zeros((len(positions), task.shape[1]))
@@ -486,14 +486,14 @@ class _Extended:
             asked = [column[:, k] for column, k in zip(columns, pick, strict=True)]
             where = np.stack(asked, axis=1) if asked else np.zeros((len(positions), 0), dtype=np.int64)
             total += self.simple.rows(where)
-        found = spread(total / np.prod(counts, initial=1.0), task.outputs, whole.outputs, self.fates, axis=1)
+        found = spread(total / np.prod(counts, initial=1.0), task.outputs, full.outputs, self.kept, axis=1)
         for operation in self.prior:
-            found = operation.apply(whole, found, positions)
+            found = operation.apply(full, found, positions)
         return found
 
     def _choices(self, positions: NDArray[np.int64], variable: Variable) -> Positions:
         """Return the positions, in the simple task, that stand for each value (n, how many)."""
-        inside = self.fates[variable.name] or ()
+        inside = self.kept[variable.name] or ()
         known = {there: here for here, there in enumerate(inside)}
         if all(int(p) in known for p in np.unique(positions)):
             return np.array([[known[int(p)]] for p in positions], dtype=np.int64).reshape(-1, 1)
@@ -516,8 +516,8 @@ def _all_positions(task: Task) -> Positions:
     return np.indices(sizes, dtype=np.int64).reshape(len(sizes), -1).T if sizes else np.zeros((1, 0), np.int64)
 
 
-def _told(tree: Any, node: int, task: Task, known: Mapping[str, tuple[int, int]], depth: int = 0) -> list[str]:
-    """Return a tree below a node as lines; branches that say the same are told once."""
+def _lines(tree: Any, node: int, task: Task, known: Mapping[str, tuple[int, int]], depth: int = 0) -> list[str]:
+    """Return a tree below a node as lines; branches that say the same appear once."""
     indent = "  " * depth
     said = _says(tree, node)
     if len(said) == 1:
@@ -534,7 +534,7 @@ def _told(tree: Any, node: int, task: Task, known: Mapping[str, tuple[int, int]]
         names = variable.labels or tuple(map(repr, variable.values))
         shown = names[first] if last - first == 1 else f"one of {', '.join(names[first:last])}"
         lines.append(f"{indent}if {variable.name} is {shown}:")
-        lines += _told(tree, int(child), task, {**known, variable.name: (first, last)}, depth + 1)
+        lines += _lines(tree, int(child), task, {**known, variable.name: (first, last)}, depth + 1)
     return lines
 
 

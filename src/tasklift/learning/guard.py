@@ -2,7 +2,7 @@
 time.
 
 A scratch control runs on a small share of the budget. Its k-th trial is compared with the transferred
-learner's k-th trial (same seed, same chances of the world where the world allows it), so that both are
+learner's k-th trial (same seed, same random numbers where the world allows it), so that both are
 equally experienced.
 
 The test multiplies bets. If the transferred learner is not better (the mean of the differences d, given the
@@ -187,7 +187,7 @@ class GuardReport:
     fell_back: bool = False
 
     def __str__(self) -> str:
-        told = f"transfer {self.verdict}" if self.verdict != "can't tell yet" else self.verdict
+        verdict = f"transfer {self.verdict}" if self.verdict != "can't tell yet" else self.verdict
         done = f"; {', '.join(self.actions)}" if self.actions else ""
         helps, hurts = self.evidence
-        return f"{told} ({self.pairs} pairs; evidence for helps {helps:.3g}, for hurts {hurts:.3g}{done})"
+        return f"{verdict} ({self.pairs} pairs; evidence for helps {helps:.3g}, for hurts {hurts:.3g}{done})"

@@ -97,8 +97,8 @@ class Model:
     def _arrays(self) -> Any:
         from tasklift.learning.model_kernel import Arrays
 
-        def running(chances: Floats) -> Floats:
-            upto = np.cumsum(chances, axis=-1)
+        def running(probabilities: Floats) -> Floats:
+            upto = np.cumsum(probabilities, axis=-1)
             # past the last branch that can happen, nothing must be left over through rounding
             upto[upto >= upto[..., -1:]] = 2.0
             return upto
@@ -140,9 +140,9 @@ class Model:
         """Return a function that runs one compiled trial of value learning on ``values``, float64 (S, A)."""
         from tasklift.learning import model_kernel
 
-        whole = task.ancestor(self.task)
-        rows = task.input_rows(whole)[self.rows]
-        columns = task.output_columns(whole)
+        ancestor = task.ancestor(self.task)
+        rows = task.input_rows(ancestor)[self.rows]
+        columns = task.output_columns(ancestor)
 
         def trial(rng: np.random.Generator, epsilon: float, learn: bool) -> tuple[int, bool, int, float]:
             *record, stray = model_kernel.trial(
@@ -157,19 +157,19 @@ class Model:
 
     # -- exact answers -------------------------------------------------------------------------------------
 
-    def evaluate(self, chances: Floats, *, reward: Floats | None = None, steps: int | None = None) -> float:
+    def evaluate(self, probabilities: Floats, *, reward: Floats | None = None, steps: int | None = None) -> float:
         """Return the exact expected undiscounted sum of rewards of a policy.
 
         Parameters
         ----------
-        chances
+        probabilities
             float64 (S, A): how probable each output is at each input.
         reward
             (N, A, K), in place of the world's; ``model.success`` gives the probability of success.
         steps
-            Over so many steps; default: without a limit (the trial must end by itself).
+            Over this many steps; default: without a limit (the trial must end by itself).
         """
-        weights = np.asarray(chances, dtype=np.float64)[self.rows]
+        weights = np.asarray(probabilities, dtype=np.float64)[self.rows]
         gain, move = self._dynamics(reward)
         gain_under = (weights * gain).sum(axis=1)
         move_under = np.einsum("na,nam->nm", weights, move)

@@ -13,7 +13,7 @@ from numba import njit
 from tasklift.tasks import choice as rules
 
 _draw = njit(rules.draw)
-_chances = njit(rules.probabilities)
+_probabilities = njit(rules.probabilities)
 _step_size = njit(rules.step_size)
 
 
@@ -48,14 +48,14 @@ def trial(arrays, rows, columns, values, visits, settings, rng, epsilon, learn):
     −1, which means that the world left the task; then the rest means nothing.
     """
     rule, least, power, discount, temperature = settings
-    chances = np.empty(values.shape[1])
+    probabilities = np.empty(values.shape[1])
     sarsa = learn and rule == 1
     state = branch(arrays.start_upto, rng.random())
     row = rows[state]
     if row < 0:
         return 0, False, 0, 0.0, state
-    _chances(values[row], epsilon, temperature, chances)
-    column = _draw(chances, rng.random())
+    _probabilities(values[row], epsilon, temperature, probabilities)
+    column = _draw(probabilities, rng.random())
     steps, losses, total = 0, 0, 0.0
     while True:
         output = columns[column]
@@ -73,16 +73,16 @@ def trial(arrays, rows, columns, values, visits, settings, rng, epsilon, learn):
             if after < 0:
                 return 0, False, 0, 0.0, state
             if sarsa:
-                _chances(values[after], epsilon, temperature, chances)
-                then = _draw(chances, rng.random())
+                _probabilities(values[after], epsilon, temperature, probabilities)
+                then = _draw(probabilities, rng.random())
                 target += discount * values[after, then]
             elif rule == 0:
                 target += discount * values[after].max()
             else:
-                _chances(values[after], epsilon, temperature, chances)
+                _probabilities(values[after], epsilon, temperature, probabilities)
                 mean = 0.0
-                for i in range(len(chances)):
-                    mean += chances[i] * values[after, i]
+                for i in range(len(probabilities)):
+                    mean += probabilities[i] * values[after, i]
                 target += discount * mean
         if learn:
             visits[row, column] += 1
@@ -91,6 +91,6 @@ def trial(arrays, rows, columns, values, visits, settings, rng, epsilon, learn):
         if ended or steps >= arrays.limit:
             return steps, success, losses, total, -1
         if not sarsa:
-            _chances(values[after], epsilon, temperature, chances)
-            then = _draw(chances, rng.random())
+            _probabilities(values[after], epsilon, temperature, probabilities)
+            then = _draw(probabilities, rng.random())
         row, column = after, then

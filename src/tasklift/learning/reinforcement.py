@@ -358,8 +358,8 @@ def _learned(
         raise TaskliftError(f"{how}: expected a policy of weights, found one of {policy.kind}s")
     weights = policy.weights.copy()
     outcomes = _run_trials(world, policy.task, weights, run, reinforcement, outputs)
-    told = provenance(how, learner, policy, run, outcomes)
-    return Curve(replace(policy, weights=weights, provenance=told), outcomes)
+    history = provenance(how, learner, policy, run, outcomes)
+    return Curve(replace(policy, weights=weights, provenance=history), outcomes)
 
 
 def _run_trials(

@@ -141,10 +141,10 @@ class PolicySearch:
                 break  # the cap on losses was reached: what is left of the generation is never played
             moved |= self._move(mean, candidates, played)
         outcomes = joined(parts)
-        told = provenance("policy search", self, policy, run, outcomes)
+        history = provenance("policy search", self, policy, run, outcomes)
         weights = product([_cut(vector, self.cutoff) for vector in mean]) if moved else policy.weights
         carried = {name: value for name, value in policy.carried.items() if name != "concentration"}
-        return Curve(Policy(task, weights, told, "weight", carried), outcomes)
+        return Curve(Policy(task, weights, history, "weight", carried), outcomes)
 
     def _play(self, world: Trials | Steps, task: Task, tables: Floats, run: Run) -> Outcomes:
         """Play the first episodes of ``run`` with each table, float64 (P, S, A); return the outcomes (P · n,)."""

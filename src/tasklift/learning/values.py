@@ -151,9 +151,9 @@ class ValueLearning:
             return record
 
         outcomes = outcomes_of(run.play(trial), world.limit)
-        told = provenance(self.rule, self, policy, run, outcomes)
+        history = provenance(self.rule, self, policy, run, outcomes)
         kept = carried | {"visits": visits, "epsilon": epsilon}
-        return Curve(replace(policy, weights=values, provenance=told, carried=kept), outcomes)
+        return Curve(replace(policy, weights=values, provenance=history, carried=kept), outcomes)
 
     def count_as(self, policy: Policy, trust: float) -> Policy:
         """Return the policy with ``trust`` visits in place of those of each entry that was ever visited.
@@ -306,12 +306,12 @@ def _trial(
     learn: bool,
 ) -> Record:
     """Run one trial; the same steps, in the same order, as ``model_kernel.trial``, which is compiled."""
-    chances = np.empty(values.shape[1])
+    likely = np.empty(values.shape[1])
     sarsa = learn and learning.rule == "sarsa"
 
     def choose(row: int) -> int:
-        rules.probabilities(values[row], epsilon, learning.temperature, chances)
-        return rules.draw(chances, rng.random())
+        rules.probabilities(values[row], epsilon, learning.temperature, likely)
+        return rules.draw(likely, rng.random())
 
     row = view.row(world.start(rng))
     column = choose(row)
@@ -328,8 +328,8 @@ def _trial(
             elif learning.rule == "q-learning":
                 target += learning.discount * values[after].max()
             else:
-                rules.probabilities(values[after], epsilon, learning.temperature, chances)
-                target += learning.discount * sum(c * v for c, v in zip(chances, values[after], strict=True))
+                rules.probabilities(values[after], epsilon, learning.temperature, likely)
+                target += learning.discount * sum(c * v for c, v in zip(likely, values[after], strict=True))
         if learn:
             visits[row, column] += 1
             size = rules.step_size(visits[row, column], learning.step_size, learning.step_power)

@@ -46,6 +46,8 @@ _draw = _inline(scalar.draw)
 _draw_summed = _inline(scalar.draw_summed)
 _heaviest = _inline(scalar.heaviest)
 _reinforced = _inline(scalar.reinforce)
+_inverted = _inline(scalar.time_inverted)
+_against_mean = _inline(scalar.time_baseline)
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -901,14 +903,14 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
     steps = count.step if success else rules.limit
     if learner.learn == 0:
         return steps
-    inverted = learner.time_reward * (1.0 - steps / rules.limit)
+    inverted = _inverted(learner.time_reward, steps, rules.limit)
     if learner.sweep_all == 1:
         for row in range(lane.weights.shape[0]):
             reinforce(learner, lane, row, fixed, learner.signal[row, fixed] + inverted)
     elif learner.time_signal != TIME_NONE:
         signal = inverted
         if learner.time_signal == TIME_BASELINE:
-            signal = 2.0 * learner.time_reward * (mean_steps - steps) / rules.limit if mean_steps >= 0.0 else 0.0
+            signal = _against_mean(learner.time_reward, steps, rules.limit, mean_steps)
         n_outputs = lane.weights.shape[1]
         for k in range(count.used):
             reinforce(learner, lane, lane.pairs[k] // n_outputs, lane.pairs[k] % n_outputs, signal)

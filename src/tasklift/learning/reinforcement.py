@@ -449,7 +449,7 @@ class StepTrials:
                 break
             fixed = None if outputs is None else int(outputs[i])
             trial = _Trial(self.world, view, weights, signals, reinforcement, fixed, learn)
-            records.append(trial.run(chances.of(first_trial + i), counted / i if i else None))
+            records.append(trial.run(chances.of(first_trial + i), counted / i if i else -1.0))
             steps, success, losses, _ = records[-1]
             lost += losses
             counted += steps if success else self.world.limit
@@ -475,8 +475,8 @@ class _Trial:
         self.greedy = greedy_share(settings.selection, settings.q)
         self.used: dict[tuple[int, int], None] = {}
 
-    def run(self, rng: np.random.Generator, usual_steps: float | None) -> Record:
-        """Run the trial and return its steps, success, losses and return."""
+    def run(self, rng: np.random.Generator, usual_steps: float) -> Record:
+        """Run the trial; ``usual_steps`` is the mean of those before, or below 0."""
         row = self.view.row(self.world.start(rng))
         steps, losses, total = 0, 0, 0.0
         ended = success = False
@@ -502,14 +502,14 @@ class _Trial:
         if self.learn:
             self.weights[row, column] = rules.reinforce(self.weights[row, column], signal, self.settings.floor)
 
-    def _finish(self, steps: int, usual_steps: float | None) -> None:
+    def _finish(self, steps: int, usual_steps: float) -> None:
         """Apply the global signal of the time taken, and a sweep's credit to all inputs."""
         size, limit = self.view.task.time_reward, self.world.limit
         reward = 0.0
         if self.fixed is not None or self.settings.time_signal == "inverted":  # a sweep is judged by its time
-            reward = size * (1 - steps / limit)
-        elif self.settings.time_signal == "baseline" and usual_steps is not None:
-            reward = 2 * size * (usual_steps - steps) / limit
+            reward = rules.time_inverted(size, steps, limit)
+        elif self.settings.time_signal == "baseline":
+            reward = rules.time_baseline(size, steps, limit, usual_steps)
         pairs = list(self.used)
         if self.to_all and self.fixed is not None:
             pairs = [(row, self.fixed) for row in range(len(self.weights))]

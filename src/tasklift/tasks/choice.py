@@ -107,6 +107,16 @@ def reinforce(weight, signal, floor):  # type: ignore[no-untyped-def]
     return changed if changed > floor else floor
 
 
+def time_inverted(reward, steps, limit):  # type: ignore[no-untyped-def]
+    """Return the signal of the time taken: ``reward`` × (1 − steps / limit), all of it for no time at all."""
+    return reward * (1.0 - steps / limit)
+
+
+def time_baseline(reward, steps, limit, mean_steps):  # type: ignore[no-untyped-def]
+    """Return the signal of the time taken against a running mean; 0 while there is none (``mean_steps`` below 0)."""
+    return 2.0 * reward * (mean_steps - steps) / limit if mean_steps >= 0.0 else 0.0
+
+
 def probabilities(values, epsilon, temperature, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` with the probability of each index under ε-greedy (temperature 0) or softmax choice, by value.
 

@@ -13,3 +13,20 @@ class TaskliftError(ValueError):
 
     def __init__(self, message: object) -> None:
         super().__init__(one_line(message))
+
+
+def missing(package: str, extra: str, needed_by: str = "this") -> TaskliftError:
+    """Return the error for a package that one of tasklift's extras brings; a command that installs it comes with it.
+
+    The command names the packages of the extra, as this installation declares them. It therefore works for a clone
+    and for a release, from any folder.
+    """
+    from importlib.metadata import PackageNotFoundError, requires
+
+    try:
+        declared = requires("tasklift") or []
+    except PackageNotFoundError:  # run from its source folder, never installed
+        declared = []
+    needs = [need.split(";")[0].strip() for need in declared if f'extra == "{extra}"' in need.replace("'", '"')]
+    command = " ".join(f"'{need}'" for need in needs) or package.lower()
+    return TaskliftError(f"{needed_by} needs {package} (the extra {extra!r}); type: pip install {command}")

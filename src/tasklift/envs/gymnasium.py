@@ -1,6 +1,6 @@
 """Any Gymnasium environment with discrete inputs and outputs as a world of ours: declare how it factors.
 
-Needs the extra ``gym`` (``pip install "tasklift[gym]"``). :class:`Factored` takes an environment that the user made;
+Needs the extra ``gym``. :class:`Factored` takes an environment that the user made;
 :func:`make_environment` makes a registered one by its name.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.learning.model import Model
 from tasklift.learning.worlds import Step
 from tasklift.tasks.task import Task
@@ -60,7 +60,7 @@ def make_environment(name: str, options: Mapping[str, Any]) -> Any:
     try:
         import gymnasium
     except ImportError as error:
-        raise TaskliftError('needs Gymnasium; type: pip install "tasklift[gym]"') from error
+        raise missing("Gymnasium", "gym", "an environment's name") from error
     if ":" in name:
         raise TaskliftError(f"environment: expected the name of a registered environment, found {shown(name)}")
     try:

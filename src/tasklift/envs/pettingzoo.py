@@ -1,6 +1,6 @@
 """The building search as a PettingZoo ``ParallelEnv``: every robot an agent, for other people's learners.
 
-Needs the extra ``gym`` (``pip install "tasklift[gym]"``). The world is the simulator's kernel; only the decisions come
+Needs the extra ``gym``. The world is the simulator's kernel; only the decisions come
 from outside. Every robot decides at every step, which is the simulator under ``patience=1``.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tasklift.building import Mission
 from tasklift.building.simulator import FAILURE, SUCCESS
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.learning.chances import TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
 
@@ -21,7 +21,7 @@ try:
     from gymnasium.spaces import MultiDiscrete
     from pettingzoo import ParallelEnv
 except ImportError as error:
-    raise TaskliftError('needs PettingZoo; type: pip install "tasklift[gym]"') from error
+    raise missing("PettingZoo", "gym", "tasklift.envs.pettingzoo") from error
 
 Observations = dict[str, NDArray[np.int64]]
 

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Generator, Iterator
 from typing import Any
 
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.lab.packing import Detail, Packed
 from tasklift.lab.work import Group, Stopped, Work, compute, cores
 
@@ -39,7 +39,7 @@ def tasks(
     try:
         import ray
     except ImportError as error:
-        raise TaskliftError("the engine 'ray' needs Ray: pip install 'tasklift[ray]'") from error
+        raise missing("Ray", "ray", "the engine 'ray'") from error
     started = not ray.is_initialized()
     if started:
         _connect(ray, workers, address)

@@ -13,7 +13,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from tasklift import stats
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.files import canonical_json, output_file, writing
 from tasklift.lab.cell import Cell
 from tasklift.lab.file import FILE_NAME
@@ -286,7 +286,7 @@ def _write_parquet(file: IO[bytes], columns: dict[str, type], batches: Iterator[
         import pyarrow
         from pyarrow import parquet
     except ImportError as error:
-        raise TaskliftError("Parquet needs pyarrow: pip install 'tasklift[parquet]', or export to .csv") from error
+        raise missing("pyarrow", "parquet", "Parquet (.csv needs nothing)") from error
     kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns.items()])
     count = 0

@@ -5,7 +5,7 @@ that is fed into a neural network or decision tree. Conversely, the policy can b
 algorithm by providing all the different possible inputs" (Singh & Adams 2006, section III). Nothing here enumerates
 a task's inputs unless asked to, so tasks whose tables would not fit in memory can be learned this way.
 
-Needs the extra ``approx`` (``pip install "tasklift[approx]"``). Shapes: ``n`` inputs, ``A`` outputs.
+Needs the extra ``approx``. Shapes: ``n`` inputs, ``A`` outputs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.checks import whole_number
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.learning.chances import GREEDY_STAGE, Chances
 from tasklift.learning.worlds import StepOutcomes, Steps, View, outcomes_of
 from tasklift.tasks import choice as rules
@@ -507,7 +507,7 @@ def _sklearn(module: str) -> Any:
 
         return import_module(f"sklearn.{module}")
     except ImportError as error:
-        raise TaskliftError('needs scikit-learn; type: pip install "tasklift[approx]"') from error
+        raise missing("scikit-learn", "approx", "a tree or a network") from error
 
 
 def _all_positions(task: Task) -> Positions:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.plans.foreign import by_signature
 from tasklift.plans.plan import FINEST_M, LARGEST_PIXELS, Plan
 from tasklift.plans.source import Source
@@ -218,7 +218,7 @@ def _open(source: Source) -> Any:
     try:
         from PIL import Image
     except ImportError as error:
-        raise TaskliftError("Pillow is not installed; type: pip install 'tasklift[plans]'") from error
+        raise missing("Pillow", "plans", "reading a picture") from error
     data = source.data
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # we state our own limit below
     try:

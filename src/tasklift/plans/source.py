@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.files import parse_json
 
 LARGEST_TEXT_BYTES = 20_000_000
@@ -234,7 +234,7 @@ def _parse_yaml(source: Source) -> Any:
     try:
         import yaml
     except ImportError as error:
-        raise TaskliftError("PyYAML is not installed; type: pip install 'tasklift[plans]'") from error
+        raise missing("PyYAML", "plans", "reading YAML") from error
 
     if len(source.text) > LARGEST_YAML_BYTES:
         raise source.fault(f"larger than {LARGEST_YAML_BYTES:,} characters, which a map's YAML has at most")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.plans.lines import plan_of_lines
 from tasklift.plans.plan import Plan
 from tasklift.plans.source import Source
@@ -83,7 +83,7 @@ def _drawing(source: Source) -> Any:
     try:
         import ezdxf
     except ImportError as error:
-        raise TaskliftError("ezdxf is not installed; type: pip install 'tasklift[dxf]'") from error
+        raise missing("ezdxf", "dxf", "reading a DXF drawing") from error
     logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # what is wrong is said in our one line
     if source.head.startswith(b"AutoCAD Binary DXF"):
         raise source.fault("is a binary DXF; save it as text (ASCII) DXF")

@@ -41,6 +41,7 @@ def buildings(draw):
         width_m=[draw(st.floats(0.5, 5)) for _ in edges],
         start=draw(st.integers(0, n - 1)),
         provenance={"why": "test"},
+        course_m=[draw(st.lists(st.tuples(metres, metres), max_size=3)) for _ in edges],
     )
 
 
@@ -106,6 +107,7 @@ def test_the_order_of_edges_in_a_file_is_not_content(building, random):
     for edge in shuffled["edges"]:
         if random.random() < 0.5:
             edge["a"], edge["b"] = edge["b"], edge["a"]
+            edge["course"] = edge.get("course", [])[::-1]
     assert Building.from_json(shuffled) == building
 
 
@@ -121,6 +123,21 @@ def test_the_content_id_is_pinned_and_knows_content_from_label():
     wider["edges"][0]["width_m"] = 1.1
     assert Building.from_json(wider) != building
     assert building != "flat"
+    bent = document()
+    bent["edges"][1]["course"] = [[8, 1]]
+    assert Building.from_json(bent) != building
+
+
+def test_a_course_runs_from_the_lower_node_to_the_higher_one():
+    bent = document()
+    bent["edges"][1]["course"] = [[8, 1], [6, 1]]  # from node 2 to node 1
+    building = Building.from_json(bent)
+    assert building.edges[1].tolist() == [1, 2]
+    assert building.line_m(1).tolist() == [[3, 0], [6, 1], [8, 1], [10, 0]]
+    assert building.line_m(0).tolist() == [[0, 0], [3, 0]]
+    assert [edge.get("course") for edge in building.to_json()["edges"]] == [None, [[6, 1], [8, 1]], None]
+    with pytest.raises(ValueError, match="read-only"):
+        building.course_m[1][0] = 0
 
 
 def test_files_have_one_node_and_one_edge_per_line(tmp_path):
@@ -226,6 +243,10 @@ FAULTS = [
     (put("edges", 1, "a", True), r"edges\[1\]: field 'a': expected a whole number from .* found True"),
     (put("edges", 1, "a", 1.5), r"edges\[1\]: field 'a': expected a whole number from .* found 1.5"),
     (put("edges", 1, [1, 2]), r"edges\[1\]: expected an object, found list"),
+    (put("edges", 1, "course", 7), "edge 2-1: field 'course': expected a list, found int"),
+    (put("edges", 1, "course", [[1, 2], [3]]), r"edge 2-1: course point 1: expected \[x, y\]"),
+    (put("edges", 1, "course", [[1, 1e9]]), "edge 2-1: course: point 0: expected finite metres"),
+    (put("edges", 1, "course", [[1, 1]] * 1001), "edge 2-1: course: expected at most 1,000 points, found 1,001"),
     (put("edges", None), "field 'edges': expected a list, found NoneType"),
     (put("nodes", 2, "x", math.nan), "node 2: field 'x': expected a finite number, found nan"),
     (put("nodes", 2, "x", 10**400), "node 2: field 'x': expected a finite number, found a number of 401 digits"),
@@ -289,6 +310,7 @@ def test_faults_are_named(change, message):
         ("length_m", [1, math.nan, 1], "edge 1-2: length_m is nan"),
         ("length_m", ["a", "b", "c"], "length_m: numbers expected"),
         ("edges", [[0, 1]], r"length_m: expected shape \(1\), found \(3,\)"),
+        ("course_m", [[]], "course_m: expected one for each of 3 edges, found 1"),
         ("provenance", {"a": object()}, "provenance is not plain JSON"),
         ("provenance", {"a": math.nan}, "provenance is not plain JSON"),
     ],

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -39,6 +39,7 @@ SMALLEST_M, LARGEST_M = 0.001, 1e6
 LARGEST_COUNT = 10**6
 #: Ten times the largest plan seen. Drawing takes time that grows with nodes × edges.
 MOST_NODES, MOST_EDGES = 10_000, 40_000
+MOST_COURSE_POINTS = 1_000
 
 _KINDS = {name: kind for kind, name in enumerate(KIND_NAMES)}
 _CLASSES = {name: value for value, name in CLASS_NAMES.items()}
@@ -68,6 +69,10 @@ class Building:
         ``int64 (E, 2)``: the two nodes of each corridor. No self-loops, no parallel corridors.
     length_m, width_m
         ``float64 (E,)`` (m), in the order of ``edges``.
+    course_m
+        How each corridor runs, in the order of ``edges``: the points ``float64 (k, 2)`` between its two nodes,
+        from the first to the second, without them; none for a straight corridor. ``None``: all are straight.
+        In the file it is the field ``course`` of an edge, ``[[x, y], …]``, missing where there are no points.
     start
         The node where the robots begin.
     outline_m
@@ -105,6 +110,7 @@ class Building:
     width_m: NDArray[np.float64]
     start: int
     outline_m: NDArray[np.float64] = None  # type: ignore[assignment]  # None is replaced at construction
+    course_m: tuple[NDArray[np.float64], ...] = None  # type: ignore[assignment]  # likewise
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -128,6 +134,7 @@ class Building:
             raise TaskliftError(f"{where}: expected at most {MOST_EDGES:,} edges, found {len(edges):,}")
         length = _array(where, "length_m", self.length_m, np.float64, (len(edges),))
         width = _array(where, "width_m", self.width_m, np.float64, (len(edges),))
+        course = _courses(where, self.course_m, edges)
         edges = np.sort(edges, axis=1)
         order = np.lexsort((edges[:, 1], edges[:, 0]))
         arrays |= {"edges": edges[order], "length_m": length[order], "width_m": width[order]}
@@ -152,6 +159,7 @@ class Building:
         for key, value in arrays.items():
             value.flags.writeable = False
             object.__setattr__(self, key, value)
+        object.__setattr__(self, "course_m", tuple(course[i] for i in order.tolist()))
         object.__setattr__(self, "start", int(self.start))
         object.__setattr__(self, "provenance", provenance)
 
@@ -191,6 +199,11 @@ class Building:
             f"Building({self.name!r}: {rooms} rooms, {intersections} intersections, {features} features, "
             f"{self.n_edges} edges)"
         )
+
+    def line_m(self, edge: int) -> NDArray[np.float64]:
+        """Return the corridor in row ``edge`` of ``edges`` as a polyline ``float64 (k, 2)``, k ≥ 2, nodes included."""
+        a, b = self.edges[edge]
+        return np.concatenate([self.position_m[[a]], self.course_m[edge], self.position_m[[b]]])
 
     # -- derived arrays ---------------------------------------------------------------------------
 
@@ -257,7 +270,13 @@ class Building:
             if kind == ROOM:
                 node |= {"area_m2": area, "obstacles": obstacles}
             nodes.append(node)
-        corridors = zip(self.edges.tolist(), self.length_m.tolist(), self.width_m.tolist(), strict=True)
+        corridors = []
+        sizes = zip(self.length_m.tolist(), self.width_m.tolist(), self.course_m, strict=True)
+        for (a, b), (length, width, course) in zip(self.edges.tolist(), sizes, strict=True):
+            corridor: dict[str, Any] = {"a": a, "b": b, "length_m": length, "width_m": width}
+            if len(course):
+                corridor["course"] = course.tolist()
+            corridors.append(corridor)
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -265,7 +284,7 @@ class Building:
             "start": self.start,
             "outline": self.outline_m.tolist(),
             "nodes": nodes,
-            "edges": [{"a": a, "b": b, "length_m": length, "width_m": width} for (a, b), length, width in corridors],
+            "edges": corridors,
             "provenance": json.loads(canonical_json(self.provenance)),
         }
 
@@ -311,7 +330,7 @@ class Building:
                 [_read_point(f"{where}: outline point {i}", p) for i, p in enumerate(_list(where, document, "outline"))]
             ).reshape(-1, 2)
         kind, feature_class, x, y, area, obstacles = zip(*nodes, strict=True) if nodes else ((),) * 6
-        a, b, length, width = zip(*edges, strict=True) if edges else ((),) * 4
+        a, b, length, width, course = zip(*edges, strict=True) if edges else ((),) * 5
         try:
             return cls(
                 name=document["name"],
@@ -325,6 +344,7 @@ class Building:
                 width_m=np.array(width, np.float64),
                 start=document["start"],
                 outline_m=outline,  # type: ignore[arg-type]
+                course_m=course,
                 provenance=document.get("provenance", {}),
             )
         except TaskliftError as error:
@@ -451,6 +471,27 @@ def _check_edges(where: str, n: int, arrays: Mapping[str, Any]) -> None:
             )
 
 
+def _courses(where: str, given: Sequence[ArrayLike] | None, edges: NDArray[np.int64]) -> list[NDArray[np.float64]]:
+    """Private, read-only copies of the courses, each from the lower node to the higher one."""
+    if given is None:
+        given = [()] * len(edges)
+    if len(given) != len(edges):
+        raise TaskliftError(f"{where}: course_m: expected one for each of {len(edges)} edges, found {len(given)}")
+    found = []
+    for (a, b), points in zip(edges.tolist(), given, strict=True):
+        at = f"edge {a}-{b}: course"
+        course = _array(where, at, points, np.float64, (None, 2)) + 0.0
+        if len(course) > MOST_COURSE_POINTS:
+            raise TaskliftError(f"{where}: {at}: expected at most {MOST_COURSE_POINTS:,} points, found {len(course):,}")
+        i = _first(~(np.abs(course) <= 2 * LARGEST_M).all(axis=1))
+        if i is not None:
+            raise TaskliftError(f"{where}: {at}: point {i}: expected finite metres, found {course[i].tolist()}")
+        course = course[::-1].copy() if a > b else course
+        course.flags.writeable = False
+        found.append(course)
+    return found
+
+
 def _check_connected(where: str, n: int, edges: NDArray[np.int64], start: int) -> None:
     neighbours: list[list[int]] = [[] for _ in range(n)]
     for a, b in edges.tolist():
@@ -551,11 +592,13 @@ def _read_node(where: str, i: int, node: Any) -> tuple[int, int, float, float, f
     return kind, feature, _number(at, "x", node["x"]), _number(at, "y", node["y"]), area, obstacles
 
 
-def _read_edge(where: str, i: int, edge: Any) -> tuple[int, int, float, float]:
+def _read_edge(where: str, i: int, edge: Any) -> tuple[int, int, float, float, list[tuple[float, float]]]:
     at = f"{where}: edges[{i}]"
     if not isinstance(edge, dict):
         raise TaskliftError(f"{at}: expected an object, found {type(edge).__name__}")
-    _check_fields(at, edge, ("a", "b", "length_m", "width_m"))
+    _check_fields(at, edge, ("a", "b", "length_m", "width_m"), ("course",))
     a, b = _integer(at, "a", edge["a"]), _integer(at, "b", edge["b"])
     at = f"{where}: edge {a}-{b}"
-    return a, b, _number(at, "length_m", edge["length_m"]), _number(at, "width_m", edge["width_m"])
+    points = _list(at, edge, "course") if "course" in edge else []
+    course = [_read_point(f"{at}: course point {j}", point) for j, point in enumerate(points)]
+    return a, b, _number(at, "length_m", edge["length_m"]), _number(at, "width_m", edge["width_m"]), course

@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 ARGS   ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo chromium test test-slow fuzz bench instructions docs format clean
+.PHONY: help demo chromium test test-slow fuzz bench instructions docs test-docs format clean
 
 help:  ## say what each target does
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -50,6 +50,9 @@ instructions: $(STAMP)  ## count the simulator's machine instructions with valgr
 docs: $(STAMP)  ## build the documentation into site/
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+test-docs: docs chromium  ## open every page of the documentation in a browser: axe, widths, the replay
+	$(BIN)/pytest -m slow tests/docs/test_site.py $(ARGS)
 
 format: $(STAMP)  ## sort imports and mend what ruff can mend
 	$(BIN)/ruff check --fix .

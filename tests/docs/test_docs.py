@@ -16,9 +16,11 @@ from tasklift.studies.study import GREEDY_TRIALS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+#: Written by docs/theme/hooks.py when the site is built, whose strict build checks links to them.
+GENERATED = re.compile(r"(\.\./)?(replays/\w+\.html|reference/commands\.md|changelog\.md|contributing\.md)$")
 
 
-@pytest.mark.parametrize("page", ["index", "method", "simulator", "experiments", "watch", "extending"])
+@pytest.mark.parametrize("page", ["method", "simulator", "experiments", "watch", "extending"])
 def test_code_blocks_run_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(), re.DOTALL)
@@ -80,7 +82,8 @@ def test_the_reading_names_every_arm_and_claim():
 def test_links_between_pages_lead_somewhere():
     for page in DOCS.rglob("*.md"):
         for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text()):
-            assert (page.parent / target).exists(), f"{page.relative_to(ROOT)} links to {target}"
+            there = GENERATED.match(target) or (page.parent / target).exists()
+            assert there, f"{page.relative_to(ROOT)} links to {target}"
 
 
 def test_every_decision_is_in_the_index_and_in_the_navigation():

@@ -1,4 +1,4 @@
-"""The code of the tutorial and of the page on hazards runs, and prints what the pages say."""
+"""The code of the tutorial and of other pages runs, and prints what the pages say."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from tasklift.building import generate
 from tasklift.studies.learn import run_spec
+from tasklift.studies.train import train
 
 pytest.importorskip("gymnasium")
 pytest.importorskip("sklearn")
@@ -48,3 +50,17 @@ def test_the_tutorial_does_what_it_says(tmp_path: Path, monkeypatch: pytest.Monk
     # the spec says the same as the code: same seeds, same losses
     comparison = run_spec(tmp_path / "aisle.toml", seeds=12)
     assert comparison.to_json()["findings"] == names["verdict"].to_json()["findings"]
+
+
+@pytest.mark.parametrize("page", ["quickstart.md", "exercises.md"])
+def test_short_pages_do_what_they_say(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    play(page, tmp_path)
+
+
+def test_a_run_becomes_a_table_and_a_plot_in_three_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pandas")
+    monkeypatch.chdir(tmp_path)
+    generate(seed=7).save("office.json")
+    train(building=Path("office.json"), out=Path("runs/office"), seeds=2, arms=["direct", "copy-prior"], trials=30)
+    play("pandas.md", tmp_path)

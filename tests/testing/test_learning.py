@@ -253,7 +253,7 @@ class BentLearner:
         ("task", "came back with a policy of another task"),
         ("kind", "took a policy of weights, came back with values"),
         ("count", "count_as: came back with a policy of another task"),
-        ("provenance", "its provenance is no JSON"),
+        ("provenance", "its provenance is not JSON"),
     ],
 )
 def test_a_broken_promise_of_a_learner_is_named(wrong: str, message: str) -> None:

@@ -1,4 +1,4 @@
-"""Buildings like the paper's: exactly so many intersections, corridors, rooms and features, from a seed.
+"""Buildings like the paper's: exact numbers of intersections, corridors, rooms and features, from a seed.
 
 Three stages, each drawing from the same random numbers: a connected piece of a lattice with the exact counts
 (``lattice.py``); the same in metres, with rooms on free sides; features that subdivide corridors. The paper's

@@ -1,4 +1,4 @@
-"""Pieces of a square lattice with exactly so many nodes and edges: what generated buildings are made of."""
+"""Pieces of a square lattice with exact numbers of nodes and edges: what generated buildings are made of."""
 
 from __future__ import annotations
 

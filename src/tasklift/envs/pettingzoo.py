@@ -125,7 +125,7 @@ class SearchEnv(ParallelEnv):
         """Draw nothing: ``tasklift watch`` shows trials."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: there is nothing to close."""
 
     def _outputs(self, actions: dict[str, Any]) -> NDArray[np.int64]:
         """Return the number of each robot's output, int64 (R,); 0 for the lost."""

@@ -204,7 +204,7 @@ class Curriculum:
     def _upto(
         self, number: int, seed: int, initial: Policy | None, shared: MutableMapping[Any, CurriculumRun] | None
     ) -> CurriculumRun | None:
-        """Return what the first ``number`` stages came to; None if that is no stage at all."""
+        """Return what the first ``number`` stages came to; None for 0."""
         before: CurriculumRun | None = None
         for k in range(number):
             left = self._left(before)

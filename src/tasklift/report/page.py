@@ -179,7 +179,7 @@ class Report:
         )
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the report; an older one stays until the new one is whole."""
+        """Write the report; an older one stays until the new one is complete."""
         write_atomically(path, self.html().encode("utf-8", errors="replace"))
 
     def _chart(self, kind: str, title: str, inner: str, data: Any, caption: str, group: str) -> Report:

@@ -77,7 +77,7 @@ def counts(sizes: tuple[int, ...], seed: int, resamples: int) -> NDArray[np.uint
 
 
 def half(size: Any) -> Any:
-    """Return how many of so many seeds a resample takes: just over half."""
+    """Return the number of seeds in a resample: just over half of ``size``."""
     return size // 2 + 1
 
 

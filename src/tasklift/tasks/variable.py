@@ -28,7 +28,7 @@ def plain_value(value: Any, where: str) -> Value:
 
 
 def plain_number(value: Any, where: str) -> float:
-    """Return ``value`` as a float, or refuse it; a truth value is no number."""
+    """Return ``value`` as a float, or refuse it; a truth value is not a number."""
     plain = plain_value(value, where)
     if isinstance(plain, str | bool):
         raise TaskliftError(f"{where}: expected a number, found {value!r}")

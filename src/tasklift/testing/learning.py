@@ -221,7 +221,7 @@ def _check_use(learner: Learner, policy: Policy, name: str) -> None:
     try:
         json.dumps(dict(policy.provenance))
     except (TypeError, ValueError) as error:
-        broken = f"{name}, learn: the policy cannot be saved, its provenance is no JSON: {error}"
+        broken = f"{name}, learn: the policy cannot be saved, its provenance is not JSON: {error}"
         raise AssertionError(broken) from error
     policy.extend(policy.task)
     try:

@@ -19,7 +19,7 @@ SHORTEST_PIECE_M = 1.0  # turns closer to each other are one
 
 
 def role_of(turn: float) -> str | None:
-    """What a turn by so many degrees is, if it is anything."""
+    """Return the class of a turn by this angle (degrees), if it has one."""
     if turn < BEND_DEGREES:
         return None
     return "corner" if turn >= CORNER_DEGREES else "bend"

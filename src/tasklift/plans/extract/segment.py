@@ -307,7 +307,7 @@ def _goes_on(space: Space, opening: Opening) -> bool:
 def _tidy(
     space: Space, region: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], list[Opening], Regions]:
-    """Join what is no space of its own to its neighbour: slivers, bays, and the two ways around a table.
+    """Join what is not a space of its own to its neighbour: slivers, bays, and the two ways around a table.
 
     Returns the regions, the openings between them, and what is known of each.
     """
@@ -348,7 +348,7 @@ class Regions:
 
     ``elongation`` is the area over that of the square around the largest circle in it: about how many times it
     is longer than wide. ``openness`` is the share of its border that is open without being a door, were it a
-    square; ``exits`` the number of its openings; ``mouth`` the widest that is no door, over the largest width.
+    square; ``exits`` the number of its openings; ``mouth`` the widest that is not a door, over the largest width.
     """
 
     area_m2: NDArray[np.float64]
@@ -475,7 +475,7 @@ def _inner_doors(
 
 
 class _Walls:
-    """What is not free, told apart by size: walls are large, furniture and pillars are not."""
+    """What is not free, by size: walls are large, furniture and pillars are not."""
 
     def __init__(self, space: Space):
         from scipy import ndimage

@@ -1,7 +1,7 @@
 """DXF drawings, by layers, with ezdxf: what is on the layers of walls is drawn; doors are left open.
 
-Layers are told by their names in a few languages. Without a layer of walls, all lines are walls but those on layers of
-doors, furniture, dimensions, text and the like.
+Layers are recognised by their names in a few languages. Without a layer of walls, all lines are walls but those on
+layers of doors, furniture, dimensions, text and the like.
 """
 
 from __future__ import annotations

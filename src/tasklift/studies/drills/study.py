@@ -61,7 +61,7 @@ def further_arms() -> tuple[str, ...]:
 
 
 def study(*, maps: int, seeds: int, hostiles: Sequence[int]) -> Study:
-    """Return the whole study: the main result on all seeds, everything else on a tenth of them.
+    """Return the full study: the main result on all seeds, everything else on a tenth of them.
 
     Parameters
     ----------

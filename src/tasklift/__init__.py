@@ -1,9 +1,14 @@
-"""tasklift: learn the safe, simple version of a task first, extend it, and know whether it paid."""
+"""Transfer in reinforcement learning when failures are expensive.
+
+Train a policy on a safe version of a task, transfer it to the dangerous one, and test whether that saved failures.
+Everything that users need by name is here: ``tl.Task``, ``tl.Policy``, ``tl.Mission``, ``tl.Curriculum``, …. Type
+checkers read the same names in ``__init__.pyi``.
+"""
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from importlib import import_module as _import_module
+from typing import Any as _Any
 
 __version__ = "0.1.0"
 
@@ -24,19 +29,25 @@ _HOMES = {
     "learning.curriculum": ("Curriculum",),
     "learning.compare": ("compare",),
     "learning.approx": ("approximate", "fidelity", "learn_approximate"),
+    "building.graph": ("Building",),
+    "building.generate": ("generate",),
+    "building.mission": ("Mission",),
+    "building.missions": ("Missions",),
+    "building.reading": ("COHESIVE", "SCATTERED", "Reading"),
+    "building.team": ("SCOUT", "WEAPON", "Kind"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = ["__version__", *sorted(_HOME_OF)]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> _Any:
     # names are found on first use, so that `import tasklift` and `tasklift --help` load nothing they do not
     # need
     if name in _HOME_OF:
-        return getattr(import_module(f"tasklift.{_HOME_OF[name]}"), name)
+        return getattr(_import_module(f"tasklift.{_HOME_OF[name]}"), name)
     raise AttributeError(f"module 'tasklift' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME_OF})
+    return sorted(__all__)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import math
 import re
+from collections.abc import Iterable, Sequence
 
 #: What a terminal or a log would obey instead of showing: controls, line ends, changes of direction, lone surrogates.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
@@ -50,6 +52,17 @@ def shown(value: object, most: int = LONGEST_VALUE) -> str:
         text = f"<{type(value).__name__}, whose repr fails: {type(error).__name__}>"
     line = printable(text[: 4 * most])
     return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
+def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table for a notebook; every text in it is escaped.
+
+    >>> html_table("Sizes", ["a"], [["<1"]])
+    '<table><caption>Sizes</caption><tr><th>a</th></tr><tr><td>&lt;1</td></tr></table>'
+    """
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+    body = "".join(f"<tr>{''.join(f'<td>{html.escape(printable(c))}</td>' for c in row)}</tr>" for row in rows)
+    return f"<table><caption>{html.escape(printable(caption))}</caption><tr>{head}</tr>{body}</table>"
 
 
 def number(value: float, digits: int = 4) -> str:

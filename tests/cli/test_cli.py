@@ -80,7 +80,17 @@ def test_train_leaves_policies_rows_and_a_report(tasklift, building):
     assert Path("run/policy.json").read_bytes() == first
     code, out, _ = tasklift("policy", "show", "run/policy.json")
     assert code == 0
-    assert "DL=0 GL=0 nWPN=0 FTR=1" in out
+    assert "12 states occur in 20" in out
+    assert "danger level" in out
+    assert "suspected" in out or "unknown" in out
+    code, out, _ = tasklift("policy", "show", "run/policy.json", "--json", "--top", 2)
+    states = json.loads(out)
+    assert code == 0
+    assert 1 < len(states) < 90
+    assert {tuple(state["state"]) for state in states} == {("DL", "GL", "nWPN", "FTR")}
+    assert all(1 >= sum(action["probability"] for action in state["actions"]) > 0 for state in states)
+    code, out, _ = tasklift("policy", "show", "run/policy.json", "--json", "--all")
+    assert len(json.loads(out)) == 90
     code, _, _ = tasklift("policy", "export", "run/policy.json", "-o", "table.csv")
     assert code == 0
     assert len(Path("table.csv").read_text().splitlines()) == 1 + 90 * 44
@@ -250,3 +260,47 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_resumes(tmp_path):
     assert process.returncode == 130
     assert "the same command goes on from there" in err
     assert "Traceback" not in err
+
+
+def test_options_come_from_a_file_and_the_command_line_goes_before_it(tasklift, building):
+    Path("mine.toml").write_text('seeds = 1\ntrials = 3\narms = ["direct", "copy"]\nout = "filed"\n')
+    code, _, err = tasklift("train", building, "--config", "mine.toml", "--practice", 500, "--quiet", "--trials", 2)
+    assert (code, err) == (0, "")
+    rows = Path("filed/rows.csv").read_text().splitlines()
+    assert {line.split(",")[5] for line in rows[1:]} == {"direct", "copy"}
+    assert max(int(line.split(",")[7]) for line in rows[1:] if ",target," in line) == 2
+    for text, says in (
+        ("seed = 3\n", "unknown option 'seed'"),
+        ("seeds = {a = 1}\n", "expected a value or a list"),
+        ("seeds = 0\n", "--seeds"),
+        ("seeds = ", "mine.toml"),
+    ):
+        Path("mine.toml").write_text(text)
+        code, _, err = tasklift("train", building, "--config", "mine.toml")
+        assert code == 2
+        assert says in err
+        assert len(err.splitlines()) == 1
+
+
+def test_scripts_get_json(tasklift, building):
+    code, out, err = tasklift("train", building, *SMALL, "--practice", 2000, "--out", "run", "--json")
+    found = json.loads(out)
+    assert (code, err) == (0, "")
+    assert set(found) == {"policy", "certificate", "says", "report"}
+    assert Path(found["report"]).exists()
+    code, out, _ = tasklift("runs", "list", "--json")
+    (table,) = json.loads(out)
+    assert table["rows"]
+    code, out, _ = tasklift("runs", "compare", "run", "--between", "arm=copy,direct", "--json")
+    assert code == 0
+    assert any("verdict" in row for table in json.loads(out) for row in table["rows"])
+
+
+@pytest.mark.parametrize("command", ["compare run --between arm=copy,direct", "show run"])
+def test_names_are_not_cut_at_80_columns(tasklift, building, command, monkeypatch):
+    tasklift("train", building, *SMALL, "--practice", 500, "--arms", "direct,copy", "--out", "run")
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = tasklift("runs", *command.split())
+    assert code == 0
+    assert "…" not in out
+    assert max(map(len, out.splitlines())) <= 80

@@ -409,7 +409,10 @@ def test_a_policy_of_another_task_is_refused_by_the_variable(tmp_path: Path) -> 
 def test_a_policy_reads_as_lines_and_as_a_table():
     task = Task("door", (Variable("near", (0, 1)),), (Variable("act", ("stop", "go")),))
     policy = Policy(task, np.array([[1.0, 3.0], [2.0, 0.0]]))
-    assert list(policy.describe(top=1)) == ["near=0: 75% act=go", "near=1: 100% act=stop"]
+    assert list(policy.describe(top=1)) == [
+        ({"near": "0"}, [(0.75, {"act": "go"})]),
+        ({"near": "1"}, [(1.0, {"act": "stop"})]),
+    ]
     assert policy.to_csv().splitlines() == [
         "near,act,weight,probability",
         "0,stop,1.0,0.25",
@@ -418,7 +421,9 @@ def test_a_policy_reads_as_lines_and_as_a_table():
         "1,go,0.0,0.0",
     ]
     values = Policy(task, np.array([[-1.0, -3.0], [2.0, 0.0]]), kind="value")
-    assert list(values.describe(top=1)) == ["near=0: 100% act=stop", "near=1: 100% act=stop"]
+    assert list(values.describe(top=1)) == [
+        ({"near": near}, [(1.0, {"act": "stop"})]) for near in ("0", "1")
+    ]
 
 
 KILLED = """

@@ -8,11 +8,14 @@ node or the edge at fault.
 from __future__ import annotations
 
 import hashlib
+import html
+import io
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -196,9 +199,25 @@ class Building:
     def __repr__(self) -> str:
         rooms, intersections, features = (int(np.sum(self.kind == kind)) for kind in range(3))
         return (
-            f"Building({self.name!r}: {rooms} rooms, {intersections} intersections, {features} features, "
+            f"Building({shown(self.name)}: {rooms} rooms, {intersections} intersections, {features} features, "
             f"{self.n_edges} edges)"
         )
+
+    def plot(self, hostiles: Iterable[int] = ()) -> Any:
+        """Draw the building as a plan and as a graph; return the matplotlib figure.
+
+        Parameters
+        ----------
+        hostiles
+            Nodes at which to draw one.
+        """
+        # by name, since the module that draws imports this one
+        return import_module("tasklift.building.draw").figure(self, hostiles)
+
+    def _repr_html_(self) -> str:
+        picture = io.StringIO()
+        self.plot().savefig(picture, format="svg")
+        return f"<p>{html.escape(repr(self))}</p>{picture.getvalue()[picture.getvalue().index('<svg'):]}"
 
     def line_m(self, edge: int) -> NDArray[np.float64]:
         """Return the corridor in row ``edge`` of ``edges`` as a polyline ``float64 (k, 2)``, k ≥ 2, nodes included."""

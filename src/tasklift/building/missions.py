@@ -43,6 +43,9 @@ class Missions:
 
     missions: Sequence[Mission]
 
+    def __repr__(self) -> str:
+        return f"Missions({len(self.missions)}, the first one {self.missions[0]!r})"
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "missions", tuple(self.missions))
         if not self.missions:

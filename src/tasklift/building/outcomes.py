@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from tasklift.building.setting import Setting
 from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.task import Task
+from tasklift.text import shown
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SearchOutcomes(Outcomes):
     """What came of ``n`` episodes (trials) of a building search: of one run, or of ``P`` runs side by side.
 
@@ -93,6 +94,10 @@ class Trace:
     visited: NDArray[np.bool_]
     messages: NDArray[np.int64]
     losses: NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        end = f"{'solved' if self.success else 'not solved'} in {self.steps} steps, {int(self.losses[-1])} lost"
+        return f"Trace({shown(self.mission.building.name)}, episode {self.trial + 1}, seed {self.seed}: {end})"
 
     @property
     def steps(self) -> int:

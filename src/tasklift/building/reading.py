@@ -88,6 +88,11 @@ class Reading:
     drill: bool = False
     search_rate_m2: float = 4.0
 
+    def __repr__(self) -> str:
+        usual = {f.name: f.default for f in dataclasses.fields(self)}
+        changed = [f"{name}={getattr(self, name)!r}" for name in usual if getattr(self, name) != usual[name]]
+        return f"Reading({', '.join(changed)})"
+
     def __post_init__(self) -> None:
         for name, hint in _hints(Reading).items():
             value, where = getattr(self, name), f"reading, {name}"

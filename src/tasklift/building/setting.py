@@ -15,7 +15,7 @@ from tasklift.building.team import Kind, parse_team
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.tasks.task import Task
-from tasklift.text import shown
+from tasklift.text import one_line, shown
 
 #: The largest step limit: draws are numbered with 32 bits.
 LARGEST_LIMIT = 10**9
@@ -46,6 +46,14 @@ class Setting:
             weapons_needed: int = 2,
             limit: int = 600,
         ) -> None: ...
+
+    def __repr__(self) -> str:
+        team = "+".join(f"{n} {kind.name}" for kind, n in list(self.team.items())[:3])
+        team += ", …" if len(self.team) > 3 else ""
+        hostiles = f"{self.n_hostiles} hostile{'' if self.n_hostiles == 1 else 's'}"
+        rules = [] if self.reading == Reading() else [one_line(self.reading, 70)]
+        parts = [shown(self.building.name, 40), one_line(team, 50), hostiles, *rules]
+        return f"{type(self).__name__}({', '.join(parts)})"
 
     def __post_init__(self) -> None:
         if not isinstance(self.building, Building):

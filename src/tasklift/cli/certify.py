@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from tasklift.cli.options import Numbers, path, positive, progress
-from tasklift.cli.terminal import say
+from tasklift.cli.options import Numbers, as_json, path, positive, progress, quiet
+from tasklift.cli.terminal import say, say_json
 
 
 @click.command("certify")
@@ -27,7 +27,11 @@ from tasklift.cli.terminal import say
 @click.option("--force", is_flag=True, help="Replace a certificate that is there.")
 @click.option("--verify", type=path, help="Recompute this certificate instead, and say whether it holds.")
 @click.option("--learning", type=path, help="Bound what learning cost in this experiment's folder instead.")
-def certify_command(policy: Path | None, verify: Path | None, learning: Path | None, **options: Any) -> None:
+@quiet
+@as_json
+def certify_command(
+    policy: Path | None, verify: Path | None, learning: Path | None, quiet: bool, as_json: bool, **options: Any
+) -> None:
     """Bound what a policy solves and loses, on fresh episodes; write a certificate.
 
     The unit is an episode (trial) on one building, or with --buildings an episode on a fresh building each.
@@ -37,14 +41,20 @@ def certify_command(policy: Path | None, verify: Path | None, learning: Path | N
     if verify is not None:
         with progress() as show:
             says = certify.verify(verify, show)
-        say(f"holds: {says}")
+        say_json({"holds": True, "says": says}) if as_json else say(f"holds: {says}")
         return
     if learning is not None:
-        say("\n".join(certify.learning_costs(learning)))
+        lines = certify.learning_costs(learning)
+        say_json({"says": lines}) if as_json else say("\n".join(lines))
         return
     if policy is None:
         raise click.UsageError("expected a policy, --verify and a certificate, or --learning and a folder")
     with progress() as show:
         made = certify.certify(policy, progress=show, **options)
+    if as_json:
+        from tasklift.files import parse_json, read_text
+
+        say_json(parse_json(read_text(made.path), str(made.path)))
+        return
     say(made.says)
     say(f"certificate: {made.path}")

@@ -6,8 +6,20 @@ from typing import Any
 
 import click
 
-from tasklift.cli.options import Names, Numbers, command_line, count, folder, given, path, positive, progress, running
-from tasklift.cli.terminal import say
+from tasklift.cli.options import (
+    Names,
+    Numbers,
+    as_json,
+    command_line,
+    count,
+    folder,
+    given,
+    path,
+    positive,
+    progress,
+    running,
+)
+from tasklift.cli.terminal import say, say_json
 
 
 @click.command()
@@ -101,11 +113,20 @@ def drills(choose: bool, **options: Any) -> None:
 @click.option("--ready", type=float, default=0.95, show_default=True, help="Share solved from which a policy is ready.")
 @folder(help="Folder for policies and report.  [default: runs/BUILDING]")
 @running
-def train(**options: Any) -> None:
+@as_json
+def train(as_json: bool, **options: Any) -> None:
     """Learn on your own building: the best policy, certified; or that none is ready, why, and what would do."""
     from tasklift.studies.train import train as run
 
     with progress() as show:
         lines, report = run(progress=show, command=command_line(), **given(options))
+    if as_json:
+        from tasklift.files import parse_json, read_text
+
+        ready, certificate = report.with_name("policy.json"), report.with_name("certificate.json")
+        certified = parse_json(read_text(certificate), str(certificate)) if certificate.exists() else None
+        policy = str(ready) if certified else None
+        say_json({"policy": policy, "certificate": certified, "says": lines, "report": str(report)})
+        return
     for line in [*lines, f"report: {report}"]:
         say(line)

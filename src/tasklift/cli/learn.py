@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from tasklift.cli.options import folder, path, progress
-from tasklift.cli.terminal import say
+from tasklift.cli.options import as_json, folder, path, progress, quiet
+from tasklift.cli.terminal import say, say_json
 
 
 @click.command("learn")
@@ -19,7 +19,11 @@ from tasklift.cli.terminal import say
     is_flag=True,
     help="Let the spec name any installed module. Importing runs code. [default: only modules beside the spec]",
 )
-def learn_command(spec: Path, seeds: int | None, out: Path | None, allow_imports: bool) -> None:
+@quiet
+@as_json
+def learn_command(
+    spec: Path, seeds: int | None, out: Path | None, allow_imports: bool, quiet: bool, as_json: bool
+) -> None:
     """Run a curriculum from a spec file (TOML), and say whether it paid.
 
     A module that lies beside the spec, and that the spec names, is code: it runs.
@@ -28,6 +32,9 @@ def learn_command(spec: Path, seeds: int | None, out: Path | None, allow_imports
 
     with progress() as show:
         comparison = run_spec(spec, out, seeds, allow_imports=allow_imports, progress=show)
+    if as_json:
+        say_json(comparison.to_json())
+        return
     say(comparison)
     if out is not None:
         say(f"comparison and policy: {out}")

@@ -7,13 +7,10 @@ import io
 import signal
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import click
 
 from tasklift import __version__
-from tasklift.cli.options import positive
-from tasklift.cli.terminal import say
 from tasklift.errors import TaskliftError
 from tasklift.text import one_line
 
@@ -36,6 +33,7 @@ _ELSEWHERE = {
         "multiverse",
         "Test the paper's claims under many rule variants (readings).",
     ),
+    "policy": ("tasklift.cli.policy", "policy_group", "Show and export what was learned."),
     "reproduce": ("tasklift.cli.experiments", "reproduce", "Reproduce the paper: figures, claims, report.html."),
     "runs": ("tasklift.cli.runs", "runs_group", "List, show, compare and export experiments."),
     "team": ("tasklift.cli.team", "team_command", "Say which team a building needs."),
@@ -72,38 +70,6 @@ class _Commands(click.Group):
 @click.version_option(__version__, prog_name="tasklift")
 def cli() -> None:
     """Learn the safe, simple version of a task first; extend it; know whether it paid."""
-
-
-@cli.group()
-def policy() -> None:
-    """Read what was learned."""
-
-
-@policy.command("show")
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("--top", type=positive, default=3, show_default=True, help="Outputs to show per input.")
-def policy_show(file: Path, top: int) -> None:
-    """Show the most likely outputs of every input."""
-    from tasklift.tasks.policy import Policy
-
-    loaded = Policy.load(file)
-    say(f"{loaded.task.name}: {loaded.task.shape[0]} inputs x {loaded.task.shape[1]} outputs")
-    for line in loaded.describe(top):
-        say(line)
-
-
-@policy.command("export")
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="A .csv file.")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
-def policy_export(file: Path, out: Path, force: bool) -> None:
-    """Write a policy as a table: one line per input and output, with weight and probability."""
-    from tasklift.files import output_file, write_atomically
-    from tasklift.tasks.policy import Policy
-
-    output_file(out, (".csv",), force=force, reads=[file])
-    write_atomically(out, Policy.load(file).to_csv(), replace=force)
-    say(f"written: {out}")
 
 
 def main() -> None:

@@ -17,8 +17,12 @@ positive = click.IntRange(min=1)
 count = click.IntRange(min=0)
 path = click.Path(path_type=Path)
 
-#: Options that change where and how fast a command runs, and none of its results.
-_NO_RESULT = ("engine", "workers", "address", "page", "open_browser")
+#: Options that change where and how fast a command runs and what it prints, and none of its results.
+_NO_RESULT = ("engine", "workers", "address", "page", "open_browser", "quiet", "as_json")
+
+#: For commands that a script may call.
+quiet = click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, and nothing else.")
 
 
 class Names(click.ParamType):
@@ -60,12 +64,44 @@ def folder(default: str | None = None, help: str = "Folder for the report; the s
     return click.option("--out", type=path, default=default, show_default=default is not None, help=help)
 
 
+def _defaults_from(context: click.Context, option: click.Parameter, file: Path | None) -> None:
+    """Take the defaults of a command's options from a TOML file."""
+    if file is None:
+        return
+    from tasklift.errors import TaskliftError
+    from tasklift.files import parse_toml, read_text
+    from tasklift.text import shown
+
+    known = {parameter.name: parameter for parameter in context.command.params if parameter is not option}
+    found: dict[str, Any] = {}
+    for given_name, value in parse_toml(read_text(file), str(file)).items():
+        name = given_name.replace("-", "_")
+        if name not in known:
+            names = ", ".join(sorted(str(n).replace("_", "-") for n in known))
+            raise TaskliftError(f"{file}: unknown option {shown(given_name)}; the options are {names}")
+        several = isinstance(value, list)
+        if not all(isinstance(one, str | int | float) for one in (value if several else [value])):
+            raise TaskliftError(f"{file}, {given_name}: expected a value or a list of values, found {shown(value)}")
+        repeated = isinstance(known[name], click.Option) and getattr(known[name], "multiple", False)
+        found[name] = ",".join(map(str, value)) if several and not repeated else value
+    context.default_map = {**(context.default_map or {}), **found}
+
+
 def running(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of every command that trains: where, and on how many cores."""
     for option in (
         click.option("--workers", type=positive, help="Threads, or the size of a local Ray.  [default: one per core]"),
         click.option("--address", help="For Ray: a running cluster, such as auto or HOST:PORT."),
         click.option("--engine", type=click.Choice(["threads", "ray"]), default="threads", show_default=True),
+        quiet,
+        click.option(
+            "--config",
+            type=path,
+            is_eager=True,
+            expose_value=False,
+            callback=_defaults_from,
+            help="A TOML file with options by name, such as seeds = 10. The command line goes before it.",
+        ),
     ):
         command = option(command)
     return command
@@ -89,14 +125,16 @@ def command_line() -> str:
 
 
 def given(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options that have a value."""
-    return {name: value for name, value in options.items() if value is not None}
+    """Return the options that have a value, but for those that say how to print."""
+    return {name: value for name, value in options.items() if value is not None and name not in ("quiet", "as_json")}
 
 
 class progress:
-    """A bar per piece of work; called as ``progress(done, total, note)``."""
+    """A bar per piece of work; called as ``progress(done, total, note)``. With --quiet or --json it shows nothing."""
 
     def __enter__(self) -> Progress:
+        asked = click.get_current_context().params
+        self.silent = bool(asked.get("quiet") or asked.get("as_json"))
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -112,6 +150,8 @@ class progress:
 
     def show(self, done: int, total: int, note: str) -> None:
         """Show ``done`` of ``total``; another total begins another bar."""
+        if self.silent:
+            return
         if self.current is None:
             self.bar.start()  # not before there is something to show: a refusal is one line
         if self.current is None or self.current[1] != total:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tasklift.cli.terminal import say
+from tasklift.cli.options import as_json
+from tasklift.cli.terminal import say, say_json
 from tasklift.text import number, printable
 
 if TYPE_CHECKING:
@@ -40,21 +41,23 @@ def runs_group() -> None:
 
 @runs_group.command("list")
 @click.argument("folder", type=_path, default=Path())
-def runs_list(folder: Path) -> None:
+@as_json
+def runs_list(folder: Path, as_json: bool) -> None:
     """List the experiments in FOLDER and below."""
     from tasklift.lab.runs import find
 
-    print_tables(find(folder))
+    print_tables(find(folder), as_json=as_json)
 
 
 @runs_group.command("show")
 @click.argument("run", type=_path)
 @_over
-def runs_show(run: Path, over: list[str] | None) -> None:
+@as_json
+def runs_show(run: Path, over: list[str] | None, as_json: bool) -> None:
     """Show an experiment's settings, axes and the mean of every summary."""
     from tasklift.lab.runs import show
 
-    print_tables(*show(run, over=over))
+    print_tables(*show(run, over=over), as_json=as_json)
 
 
 @runs_group.command("compare")
@@ -62,13 +65,14 @@ def runs_show(run: Path, over: list[str] | None) -> None:
 @click.argument("second", type=_path, required=False)
 @click.option("--between", callback=_between, help="Two values of an axis to compare, such as arm=direct,copy.")
 @_over
+@as_json
 def runs_compare(
-    first: Path, second: Path | None, between: tuple[str, str, str] | None, over: list[str] | None
+    first: Path, second: Path | None, between: tuple[str, str, str] | None, over: list[str] | None, as_json: bool
 ) -> None:
     """Compare two experiments, or two values of an axis of one, by paired differences of every summary."""
     from tasklift.lab.runs import compare
 
-    print_tables(*compare(first, second, between=between, over=over))
+    print_tables(*compare(first, second, between=between, over=over), as_json=as_json)
 
 
 @runs_group.command("export")
@@ -83,8 +87,15 @@ def runs_export(run: Path, out: Path, what: str, force: bool) -> None:
     say(f"{export(run, out, what=what, force=force)} rows: {out}")
 
 
-def print_tables(*tables: Table) -> None:
-    """Print tables as wide as the terminal."""
+def print_tables(*tables: Table, as_json: bool = False) -> None:
+    """Print tables as wide as the terminal, or as JSON. A name that does not fit goes on in the next line."""
+    if as_json:
+        documents = [
+            {"title": found.title, "rows": [dict(zip(found.headers, row, strict=True)) for row in found.rows]}
+            for found in tables
+        ]
+        say_json(documents)
+        return
     from rich.console import Console
     from rich.table import Table as Drawn
     from rich.text import Text
@@ -93,7 +104,7 @@ def print_tables(*tables: Table) -> None:
     for content in tables:
         table = Drawn(title=Text(printable(content.title)), title_justify="left")
         for header in content.headers:
-            table.add_column(Text(printable(header)))
+            table.add_column(Text(printable(header)), overflow="fold")
         for row in content.rows:
             table.add_row(*(Text(number(value) if isinstance(value, float) else printable(value)) for value in row))
         console.print(table)

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from tasklift.cli.options import Numbers, command_line, count, folder, given, path, positive, progress, running
-from tasklift.cli.terminal import say
+from tasklift.cli.options import Numbers, as_json, command_line, count, folder, given, path, positive, progress, running
+from tasklift.cli.terminal import say, say_json
 
 
 @click.command("team")
@@ -22,11 +22,15 @@ from tasklift.cli.terminal import say
 @click.option("--ready", type=float, default=0.95, show_default=True, help="Share solved from which a team is ready.")
 @folder(help="Folder for table and report; the same command resumes there.  [default: runs/BUILDING-team]")
 @running
-def team_command(**options: Any) -> None:
+@as_json
+def team_command(as_json: bool, **options: Any) -> None:
     """Say which team a building needs: search a policy for every size, and judge it on fresh episodes."""
     from tasklift.studies.team import team
 
     with progress() as show:
         lines, report = team(progress=show, command=command_line(), **given(options))
+    if as_json:
+        say_json({"says": lines, "report": str(report)})
+        return
     for line in [*lines, f"report: {report}"]:
         say(line)

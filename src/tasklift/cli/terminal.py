@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import click
 
 from tasklift.text import printable
+
+
+def say_json(document: Any) -> None:
+    """Print a document as JSON, readable for people."""
+    click.echo(json.dumps(document, indent=1, ensure_ascii=True))
 
 
 def say(text: object, *, err: bool = False) -> None:

@@ -23,6 +23,7 @@ from tasklift.learning.ledger import Ledger
 from tasklift.learning.stage import Stage
 from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.policy import Policy
+from tasklift.text import one_line, shown
 
 Performance = Literal["return", "steps", "success"]
 _WORDS = {"holds": "helps", "does not hold": "hurts", "undecided": "can't tell"}
@@ -119,6 +120,24 @@ class Comparison:
             "until": None if self.until is None else self.until.to_json(),
         }
 
+    def __repr__(self) -> str:
+        verdicts = ", ".join(f"{finding.name}: {finding.verdict}" for finding in self.findings)
+        return one_line(f"Comparison({self.seeds} seeds; {verdicts})", 200)
+
+    def to_pandas(self) -> Any:
+        """Return the findings as a ``pandas.DataFrame``: one row each, with interval, p-value and verdict.
+
+        Raises
+        ------
+        TaskliftError
+            Without pandas.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise TaskliftError("to_pandas needs pandas; type: pip install pandas") from error
+        return pandas.DataFrame([finding.to_json() for finding in self.findings]).set_index("name")
+
     def __str__(self) -> str:
         lines = [
             f"curriculum against direct learning, {self.seeds} seeds; 95 % intervals, p for all lines together (Holm)"
@@ -198,6 +217,8 @@ def compare(
     The direct learner has no cap and no guard. Losses on the target include the guard's control; late performance is
     that of the learner whose policy counts in the end. Rehearsals' would-be losses are left out.
     """
+    if not isinstance(curriculum, Curriculum):
+        raise TaskliftError(f"compare: expected a Curriculum, found {shown(curriculum)}")
     whole_number(seeds, "compare, seeds", least=2)
     whole_number(first, "compare, first", least=1)
     whole_number(last, "compare, last", least=1)

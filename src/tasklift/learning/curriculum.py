@@ -18,6 +18,7 @@ from tasklift.learning.ledger import Ledger
 from tasklift.learning.stage import Stage, StageRun
 from tasklift.learning.worlds import Outcomes
 from tasklift.tasks.policy import Policy
+from tasklift.text import shown
 
 EARLIER_STAGES = 100
 """Random key of a curriculum's first stage; the next ones count up, the last has :data:`TARGET_STAGE`."""
@@ -44,6 +45,10 @@ class Records:
     guards: dict[str, GuardReport]
     stopped: str | None
 
+    def __repr__(self) -> str:
+        stages = [f"{shown(name, 30)} {len(outcomes)} episodes" for name, outcomes in list(self.outcomes.items())[:3]]
+        return f"{type(self).__name__}({', '.join(stages)}; {sum(e.losses for e in self.ledger.entries)} lost)"
+
     def at_the_end(self, stage: str) -> Outcomes:
         """Return the outcomes of the learner whose policy counts: the control's, if the guard fell back to it."""
         fell_back = stage in self.guards and self.guards[stage].fell_back
@@ -56,6 +61,8 @@ class CurriculumRun(Records):
 
     policy: Policy
     best: Policy
+
+    __repr__ = Records.__repr__
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,10 @@ class Curriculum:
     max_losses: int | None = None
     best_by: Sequence[str] = ("losses", "success", "steps")
     block: int | None = 20
+
+    def __repr__(self) -> str:
+        names = [shown(stage.name, 30) for stage in self.stages]
+        return f"Curriculum({' → '.join(names if len(names) <= 4 else [*names[:3], '…', names[-1]])})"
 
     def check(self) -> None:
         """Raise :class:`TaskliftError` for the first thing wrong; :meth:`run` asks before it trains."""

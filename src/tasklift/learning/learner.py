@@ -122,6 +122,20 @@ class Curve:
     policy: Policy
     outcomes: Outcomes
 
+    def __repr__(self) -> str:
+        return f"Curve({self.outcomes!r})"
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame``, one row per episode (trial): :meth:`.Outcomes.to_pandas`."""
+        return self.outcomes.to_pandas()
+
+    def plot(self, what: str = "losses", smooth: int = 10, ax: Any = None) -> Any:
+        """Draw a measure by episode (trial); return the matplotlib axes: :meth:`.Outcomes.plot`."""
+        return self.outcomes.plot(what, smooth, ax)
+
+    def _repr_html_(self) -> str:
+        return self.outcomes._repr_html_()
+
 
 class Learner(Protocol):
     """A way to learn. ``examples/own_learner.py`` has one in 30 lines; :func:`tasklift.testing.check_learner` tests it.

@@ -18,6 +18,7 @@ from tasklift.learning.worlds import Outcomes, Steps, Trials, joined
 from tasklift.tasks.policy import Policy, Prior
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import plain_number
+from tasklift.text import shown
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,11 @@ class Stage:
     rehearsal: bool = False
     guard: Guard | None = None
     key: int | None = None
+
+    def __repr__(self) -> str:
+        budget = " and ".join(f"{n} {unit}" for n, unit in ((self.trials, "trials"), (self.steps, "steps")) if n)
+        learner = type(self.learner).__name__
+        return f"Stage({shown(self.name)}: {shown(self.task.name)} by {learner}, {budget or 'its own budget'})"
 
     @property
     def own_budget(self) -> bool:

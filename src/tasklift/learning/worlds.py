@@ -9,6 +9,8 @@ Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 
 from __future__ import annotations
 
+import html
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -16,13 +18,15 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.checks import one_of, whole_number
 from tasklift.errors import TaskliftError
+from tasklift.style import SERIES
 from tasklift.tasks.task import Task
 
 # -- what comes of trials --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Outcomes:
     """What came of trials, one entry per trial, in order.
 
@@ -69,6 +73,76 @@ class Outcomes:
         columns: dict[str, Any] = {name: column[:n] for name, column in _columns(self).items()}
         return replace(self, **columns)
 
+    def __repr__(self) -> str:
+        if self.steps.ndim > 1:
+            return f"{type(self).__name__}({' × '.join(map(str, self.steps.shape))} episodes)"
+        found = self.summary()
+        ends = f"{found['successes']} solved, {found['losses']} lost"
+        return f"{type(self).__name__}({len(self)} episodes: {ends}{'' if not len(self) else self._mean_steps()})"
+
+    def _mean_steps(self) -> str:
+        return f", {np.mean(self.steps):.1f} steps on average"
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame``: one row per episode (trial), numbered from 1, one column per measure.
+
+        Measures of several numbers per episode, such as ``robots_left``, have a column for each:
+        ``robots_left_0``, ….
+
+        Raises
+        ------
+        TaskliftError
+            Without pandas, or for several runs at once: take one with ``of_run``.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise TaskliftError("to_pandas needs pandas; type: pip install pandas") from error
+        if self.steps.ndim > 1:
+            raise TaskliftError("to_pandas: expected the outcomes of one run, found several; take one with of_run(p)")
+        columns: dict[str, Any] = {}
+        for name, column in _columns(self).items():
+            parts = column.reshape(len(self), -1).T if column.ndim > 1 else [column]
+            columns |= {name if column.ndim == 1 else f"{name}_{i}": part for i, part in enumerate(parts)}
+        return pandas.DataFrame(columns, index=pandas.RangeIndex(1, len(self) + 1, name="trial"))
+
+    def plot(self, what: str = "losses", smooth: int = 10, ax: Any = None) -> Any:
+        """Draw a measure by episode (trial), as a running mean; return the matplotlib axes.
+
+        Parameters
+        ----------
+        what
+            A measure, such as ``losses``, ``steps`` or ``success``.
+        smooth
+            Episodes in the running mean. 1: every episode as it is.
+        ax
+            Axes to draw on. None: new ones.
+
+        Raises
+        ------
+        TaskliftError
+            For a measure that there is not, and for several runs at once.
+        """
+        one_of(what, [name for name, column in _columns(self).items() if column.ndim == 1], "plot")
+        smooth = whole_number(smooth, "plot, smooth", 1)
+        if ax is None:
+            from matplotlib.figure import Figure
+
+            ax = Figure(figsize=(6, 3), layout="constrained").subplots()
+        values = np.asarray(getattr(self, what), dtype=float)
+        width = min(smooth, max(len(values), 1))
+        means = np.convolve(values, np.full(width, 1 / width), "valid") if len(values) else values
+        ax.plot(np.arange(width, len(values) + 1), means, color=SERIES["blue"][0])
+        ax.set(xlabel="episode", ylabel=what if width == 1 else f"{what}, mean of {width}")
+        return ax
+
+    def _repr_html_(self) -> str:
+        if self.steps.ndim > 1 or not len(self):
+            return html.escape(repr(self))
+        picture = io.StringIO()
+        self.plot().figure.savefig(picture, format="svg")
+        return f"<p>{html.escape(repr(self))}</p>{picture.getvalue()[picture.getvalue().index('<svg'):]}"
+
     def summary(self) -> dict[str, Any]:
         """Return trials, mean steps, successes and losses in all, as JSON data."""
         return {
@@ -79,7 +153,7 @@ class Outcomes:
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StepOutcomes(Outcomes):
     """Outcomes of trials on a world with rewards: ``returns``, float64 (n,), are their undiscounted sums."""
 

@@ -43,7 +43,7 @@ from tasklift.tasks import choice
 from tasklift.tasks.prior import Prior, forget, invert, scale, set_weight, swap
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable, plain_number
-from tasklift.text import shown
+from tasklift.text import html_table, shown
 
 __all__ = ["Policy", "Prior", "Selection", "Weights", "forget", "invert", "scale", "set_weight", "swap"]
 
@@ -137,6 +137,18 @@ class Policy:
         task.need_room(task.shape[0] * task.shape[1], "the policy")
         return cls(task, np.full(task.shape, float(weight)), {"equal": float(weight)})
 
+    def __repr__(self) -> str:
+        learned_by = self.provenance.get("learned_by", "")
+        return f"Policy({self.task!r}, {self.kind}s{f', by {shown(learned_by)}' if learned_by else ''})"
+
+    def _repr_html_(self) -> str:
+        most = 30
+        inputs = [self.task.input_values(row) for row in range(min(most, self.task.shape[0]))]
+        rows = [(*self.task.in_words(seen).values(), _listed(self.best_action(seen))) for seen in inputs]
+        left = f"; {self.task.shape[0] - most} more states" if self.task.shape[0] > most else ""
+        names = [variable.name for variable in self.task.inputs]
+        return html_table(f"{self!r}: best actions{left}", (*names, "does"), rows)
+
     # -- choosing ------------------------------------------------------------------------------------------
 
     def row(self, input: int | Mapping[str, Any]) -> Weights:
@@ -176,6 +188,29 @@ class Policy:
         """Return the heaviest output of each input, int64 (S,); the first one where several are equal."""
         return np.argmax(self.weights, axis=1).astype(np.int64)
 
+    def best_action(self, input: int | Mapping[str, Any]) -> dict[str, str]:
+        """Return what the policy prefers in a state (input), in words: ``{output: label}``.
+
+        Parameters
+        ----------
+        input : int or mapping
+            Its row, or ``{name: value}``; labels may stand for values.
+
+        Raises
+        ------
+        TaskliftError
+            For a state that the task does not have.
+
+        Examples
+        --------
+        >>> from tasklift.tasks.task import Task
+        >>> move = Variable("move", (0, 1), labels=("stop", "go"))
+        >>> walk = Task("walk", inputs=(Variable("door", (0, 1), labels=("shut", "open")),), outputs=(move,))
+        >>> Policy(walk, [[3.0, 1.0], [1.0, 3.0]]).best_action({"door": "open"})
+        {'move': 'go'}
+        """
+        return self.task.in_words(self.task.output_values(int(np.argmax(self.row(input)))))
+
     def rows(self) -> Iterator[tuple[dict[str, Any], dict[str, Any], float, float]]:
         """Yield (input values, output values, weight, probability) of every pair, input by input.
 
@@ -188,12 +223,19 @@ class Policy:
             for out, does in enumerate(outputs):
                 yield seen, does, float(self.weights[row, out]), float(shares[out])
 
-    def describe(self, top: int = 3) -> Iterator[str]:
-        """Yield a line per input, for people: its ``top`` most likely outputs."""
-        for _, pairs in groupby(self.rows(), key=lambda pair: pair[0]):
+    def describe(self, top: int = 3) -> Iterator[tuple[dict[str, str], list[tuple[float, dict[str, str]]]]]:
+        """Yield for each state (input) its values, and its ``top`` most likely actions with probability, in words.
+
+        Examples
+        --------
+        >>> from tasklift.tasks.task import Task
+        >>> walk = Task("walk", inputs=(), outputs=(Variable("move", (0, 1), labels=("stop", "go")),))
+        >>> list(Policy(walk, [[3.0, 1.0]]).describe(top=1))
+        [({}, [(0.75, {'move': 'stop'})])]
+        """
+        for seen, pairs in groupby(self.rows(), key=lambda pair: pair[0]):
             likely = sorted(pairs, key=lambda pair: -pair[3])[:top]
-            does = "; ".join(f"{share:.0%} {_spelled_out(output)}" for _, output, _, share in likely)
-            yield f"{_spelled_out(likely[0][0])}: {does}"
+            yield self.task.in_words(seen), [(share, self.task.in_words(does)) for _, does, _, share in likely]
 
     def to_csv(self) -> str:
         """Return the policy as a table: a line per input and output, with weight and probability."""
@@ -535,5 +577,5 @@ def _read_arrays(path: Path, beside: Mapping[str, Any], task: Task) -> dict[str,
     return found
 
 
-def _spelled_out(values: Mapping[str, Any]) -> str:
-    return " ".join(f"{name}={value}" for name, value in values.items())
+def _listed(values: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {label}" for name, label in values.items())

@@ -23,6 +23,7 @@ from tasklift.checks import check_fields, check_name, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
 from tasklift.tasks.variable import Condition, Signal, Value, Variable, condition_json, plain_number
+from tasklift.text import html_table, shown
 
 __all__ = ["LARGEST_TABLE", "Condition", "Signal", "Task", "Value", "Variable"]
 
@@ -138,6 +139,18 @@ class Task:
             if order != [v.name for v in getattr(self, side)]:
                 raise TaskliftError(f"{where}: the {side} must keep the order they have in {self.parent.name!r}")
 
+    def __repr__(self) -> str:
+        sizes = f"{len(self.inputs)} inputs and {len(self.outputs)} outputs, {' × '.join(map(str, self.shape))}"
+        return f"Task({shown(self.name)}: {sizes if sum(self.shape) < 10**30 else 'too large for a table'})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (side, v.name, v.meaning, ", ".join(map(v.label, v.values[:20])) + (", …" if len(v) > 20 else ""))
+            for side, variables in (("input", self.inputs), ("output", self.outputs))
+            for v in variables
+        ]
+        return html_table(repr(self), ("", "variable", "meaning", "values"), rows)
+
     # -- the table -----------------------------------------------------------------------------------------
 
     @property
@@ -173,6 +186,17 @@ class Task:
     def output_values(self, index: int) -> dict[str, Value]:
         """Return the output at column ``index`` as ``{name: value}``."""
         return self._values(index, self.outputs, self.shape[1], "output")
+
+    def in_words(self, values: Mapping[str, Any]) -> dict[str, str]:
+        """Return ``{name: label}`` of ``{name: value}``; a value without a label is shown as it is.
+
+        Examples
+        --------
+        >>> task = Task("walk", inputs=(), outputs=(Variable("move", (0, 1), labels=("stop", "go")),))
+        >>> task.in_words({"move": 1})
+        {'move': 'go'}
+        """
+        return {name: self.variable(name).label(value) for name, value in values.items()}
 
     def _index(self, values: Mapping[str, Any], variables: tuple[Variable, ...], what: str) -> int:
         if not isinstance(values, Mapping) or len(values) != len(variables):

@@ -12,6 +12,7 @@ import numpy as np
 
 from tasklift.checks import check_fields, check_name
 from tasklift.errors import TaskliftError
+from tasklift.text import shown
 
 Value = int | float | str | bool
 Condition = Mapping[str, Any]
@@ -104,6 +105,10 @@ class Variable:
     def __len__(self) -> int:
         return len(self.values)
 
+    def __repr__(self) -> str:
+        labels = "" if self.labels is None else f", labels={shown(self.labels)}"
+        return f"Variable({shown(self.name, 40)}, {shown(self.values)}{labels})"
+
     def find(self, value: Any) -> int | None:
         """Return the index of ``value``, or None if it is not one of the values."""
         try:
@@ -117,10 +122,21 @@ class Variable:
         if found is None and self.labels is not None and isinstance(value, str) and value in self.labels:
             found = self.labels.index(value)
         if found is None:
-            shown = ", ".join(map(repr, self.values[:12])) + (", …" if len(self) > 12 else "")
+            known = ", ".join(map(repr, self.values[:12])) + (", …" if len(self) > 12 else "")
             prefix = f"{where}: " if where else ""
-            raise TaskliftError(f"{prefix}variable {self.name!r} has no value {value!r}; it has {shown}")
+            raise TaskliftError(f"{prefix}variable {self.name!r} has no value {value!r}; it has {known}")
         return found
+
+    def label(self, value: Any) -> str:
+        """Return what ``value`` is called: its label, or the value as text.
+
+        Examples
+        --------
+        >>> Variable("MV", (0, 1), labels=("stop", "move")).label(0), Variable("CA", (0.5,)).label(0.5)
+        ('stop', '0.5')
+        """
+        at = self.position(value)
+        return str(self.values[at]) if self.labels is None else self.labels[at]
 
     def positions(self, wanted: Any, where: str) -> tuple[int, ...]:
         """Return the indices of one value or of a sequence of distinct values, in table order."""

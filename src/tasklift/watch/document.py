@@ -15,6 +15,7 @@ import dataclasses
 import os
 import zlib
 from collections.abc import Sequence
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from tasklift.building.graph import CLASS_NAMES, KIND_NAMES, ROOM, Building
 from tasklift.checks import check_fields
 from tasklift.errors import TaskliftError
 from tasklift.files import check_document, parse_json, read_text
+from tasklift.text import shown
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import Trace
@@ -37,8 +39,20 @@ FORMAT, VERSION = "tasklift-replay", 1
 _LARGEST_TABLE = 1_000_000
 
 
-def replay(traces: Sequence[tuple[str, Trace]], title: str) -> dict[str, Any]:
-    """Return a replay document, JSON values only.
+class Replay(dict[str, Any]):
+    """A replay document; in a notebook it plays."""
+
+    def _repr_html_(self) -> str:
+        from tasklift.watch.html import page
+
+        return f'<iframe srcdoc="{escape(page(self))}" width="100%" height="640" title="Replay"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"Replay({shown(self.get('title'))}: {len(self.get('traces', ()))} episodes)"
+
+
+def replay(traces: Sequence[tuple[str, Trace]], title: str) -> Replay:
+    """Return a replay document, JSON values only. In a notebook it plays.
 
     Parameters
     ----------
@@ -64,16 +78,16 @@ def replay(traces: Sequence[tuple[str, Trace]], title: str) -> dict[str, Any]:
     for _, trace in traces:
         if trace.task not in tasks:
             tasks.append(trace.task)
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "made_by": f"tasklift {tasklift.__version__}",
-        "title": title,
-        "building": _building(mission.building),
-        "kinds": [{"name": k.name, "armed": k.armed, "number": n} for k, n in mission.team.items()],
-        "tasks": [_task(task) for task in tasks],
-        "traces": [_trace(label, trace, tasks.index(trace.task)) for label, trace in traces],
-    }
+    return Replay(
+        format=FORMAT,
+        version=VERSION,
+        made_by=f"tasklift {tasklift.__version__}",
+        title=title,
+        building=_building(mission.building),
+        kinds=[{"name": k.name, "armed": k.armed, "number": n} for k, n in mission.team.items()],
+        tasks=[_task(task) for task in tasks],
+        traces=[_trace(label, trace, tasks.index(trace.task)) for label, trace in traces],
+    )
 
 
 def read(path: str | os.PathLike[str]) -> dict[str, Any]:

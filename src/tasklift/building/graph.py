@@ -197,11 +197,9 @@ class Building:
         return hash(self.content_id)
 
     def __repr__(self) -> str:
-        rooms, intersections, features = (int(np.sum(self.kind == kind)) for kind in range(3))
-        return (
-            f"Building({shown(self.name)}: {rooms} rooms, {intersections} intersections, {features} features, "
-            f"{self.n_edges} edges)"
-        )
+        kinds = [(int(np.sum(self.kind == kind)), name) for kind, name in enumerate(KIND_NAMES)]
+        parts = [f"{n} {name}{'' if n == 1 else 's'}" for n, name in [*kinds, (self.n_edges, "edge")]]
+        return f"Building({shown(self.name)}: {', '.join(parts)})"
 
     def plot(self, hostiles: Iterable[int] = ()) -> Any:
         """Draw the building as a plan and as a graph; return the matplotlib figure.

@@ -74,14 +74,10 @@ class Outcomes:
         return replace(self, **columns)
 
     def __repr__(self) -> str:
-        if self.steps.ndim > 1:
-            return f"{type(self).__name__}({' × '.join(map(str, self.steps.shape))} episodes)"
-        found = self.summary()
-        ends = f"{found['successes']} solved, {found['losses']} lost"
-        return f"{type(self).__name__}({len(self)} episodes: {ends}{'' if not len(self) else self._mean_steps()})"
-
-    def _mean_steps(self) -> str:
-        return f", {np.mean(self.steps):.1f} steps on average"
+        size = " × ".join(map(str, self.steps.shape))
+        ends = f"{int(self.success.sum())} solved, {int(self.losses.sum())} lost"
+        steps = f", {np.mean(self.steps):.1f} steps on average" if self.steps.size else ""
+        return f"{type(self).__name__}({size} episodes: {ends}{steps})"
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``: one row per episode (trial), numbered from 1, one column per measure.
@@ -116,7 +112,7 @@ class Outcomes:
         smooth
             Episodes in the running mean. 1: every episode as it is.
         ax
-            Axes to draw on. None: new ones.
+            Axes to draw on. None: new ones, of pyplot.
 
         Raises
         ------
@@ -126,9 +122,9 @@ class Outcomes:
         one_of(what, [name for name, column in _columns(self).items() if column.ndim == 1], "plot")
         smooth = whole_number(smooth, "plot, smooth", 1)
         if ax is None:
-            from matplotlib.figure import Figure
+            from matplotlib import pyplot  # which notebooks show without being asked
 
-            ax = Figure(figsize=(6, 3), layout="constrained").subplots()
+            _, ax = pyplot.subplots(figsize=(6, 3), layout="constrained")
         values = np.asarray(getattr(self, what), dtype=float)
         width = min(smooth, max(len(values), 1))
         means = np.convolve(values, np.full(width, 1 / width), "valid") if len(values) else values
@@ -139,8 +135,11 @@ class Outcomes:
     def _repr_html_(self) -> str:
         if self.steps.ndim > 1 or not len(self):
             return html.escape(repr(self))
-        picture = io.StringIO()
-        self.plot().figure.savefig(picture, format="svg")
+        from matplotlib.figure import Figure
+
+        picture, figure = io.StringIO(), Figure(figsize=(6, 3), layout="constrained")
+        self.plot(ax=figure.subplots())
+        figure.savefig(picture, format="svg")
         return f"<p>{html.escape(repr(self))}</p>{picture.getvalue()[picture.getvalue().index('<svg'):]}"
 
     def summary(self) -> dict[str, Any]:

@@ -149,9 +149,7 @@ def _facing(line: Points, i: int, space: Space, shortest_m: float) -> list[tuple
     return _facing_at(line[i], line[min(i + 5, len(line) - 1)] - line[max(i - 5, 0)], space, shortest_m, AHEAD)
 
 
-def _facing_at(
-    point: Points, towards: Points, space: Space, shortest_m: float, ahead: float
-) -> list[tuple[int, int]]:
+def _facing_at(point: Points, towards: Points, space: Space, shortest_m: float, ahead: float) -> list[tuple[int, int]]:
     """The walls of some length that face each other across a point and lead ``towards``; ``ahead`` is the cosine."""
     walls = space.outline
     towards = towards / max(np.hypot(*towards), 1e-9)

@@ -17,7 +17,6 @@ NEAR_DOOR_M = 0.4
 SHORTEST_PIECE_M = 1.0  # turns closer to each other are one
 
 
-
 def role_of(turn: float) -> str | None:
     """Return the class of a turn by this angle (degrees), if it has one."""
     if turn < BEND_DEGREES:

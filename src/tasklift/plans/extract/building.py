@@ -15,15 +15,16 @@ from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, N
 from tasklift.errors import TaskliftError
 from tasklift.plans.extract.axes import centre_nodes
 from tasklift.plans.extract.bends import name_bends, part_parallels, taut
-from tasklift.plans.extract.corridors import draw_lines, drop_spikes, join_same
+from tasklift.plans.extract.corridors import draw_lines, drop_spikes, join_same, keep_joined
+from tasklift.plans.extract.outside import leave_out
 from tasklift.plans.extract.paths import PathGraph, Points, line_length
-from tasklift.plans.extract.segment import Division, Opening, divide, jambs
+from tasklift.plans.extract.regions import Opening, jambs
+from tasklift.plans.extract.segment import Division, divide
 from tasklift.plans.extract.space import Settings, Space, clean
+from tasklift.plans.extract.strokes import without_door_leaves
 from tasklift.plans.plan import Plan
 
 DOOR_TOLERANCE_M = 0.75
-CLOSET_ELONGATION = 3.0  # what is longer is a piece of corridor
-
 
 
 def extract(
@@ -49,14 +50,16 @@ def extract(
     say("cleaning the picture")
     points = plan.seeds_m if seed_point is None else np.array([seed_point], float)
     seeds = None if points is None else plan.to_pixels(points)
-    division = divide(clean(plan, settings, seeds))
+    plan, space = _opened(plan, clean(plan, settings, seeds), seeds)
+    say("dividing at the narrow places")
+    division = divide(space)
     if not division.openings:
         # one space without doors: what stands in it is all the structure there is
-        division = divide(clean(plan, settings, seeds, keep_islands=True))
+        division = divide(clean(plan, settings, seeds, keep_islands=True), furnished=False)
         division.space.doubts.append("one space without doors: every obstacle in it was gone around")
     if plan.doors_m is not None:
         _declare_doors(division, plan)
-    left_out = _leave_out_closets(division)
+    leave_out(division, plan)
     space = division.space
     say("tracing the corridors")
     graph = draw_lines(division)
@@ -66,8 +69,29 @@ def extract(
     name_bends(graph, space)
     centre_nodes(graph, space, ("bend", "corner"))
     part_parallels(graph)
+    lost = keep_joined(graph)
+    if lost:
+        space.doubts.append(f"{lost} nodes that no corridor joins to the others were left out")
     say("building the graph")
-    return _to_building(plan, division, graph, start, left_out)
+    return _to_building(plan, division, graph, start)
+
+
+def _opened(plan: Plan, space: Space, seeds: Points | None) -> tuple[Plan, Space]:
+    """The plan and its space without leaves and arcs of doors, if rooms are shut by them."""
+    found = without_door_leaves(plan) if space.left_out_m2 >= space.settings.smallest_room_m2 else None
+    if found is None:
+        return plan, space
+    opened, places = found
+    wider = clean(opened, space.settings, seeds)
+    grown = (wider.free.sum() - space.free.sum()) * space.cell_m**2
+    if grown < space.settings.smallest_room_m2:
+        return plan, space
+    listed = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in places[:5].tolist())
+    wider.doubts.append(
+        f"{len(places)} thin drawings were taken for leaves and arcs of doors, and opened: {listed}"
+        f"{' …' if len(places) > 5 else ''} m"
+    )
+    return opened, wider
 
 
 def _declare_doors(division: Division, plan: Plan) -> None:
@@ -110,24 +134,11 @@ def _stands_across(space: Space, pixel: tuple[int, int], ends: Points) -> bool:
     return length < 1.6 * width + 4 and abs(float(line @ door)) > 0.8 * length * width
 
 
-def _leave_out_closets(division: Division) -> int:
-    """Leave out what is too small for a room, leads nowhere, and is not a corridor; returns how many there were."""
-    measure = division.measure
-    closet = (measure.exits == 1) & ~division.is_room & (measure.elongation < CLOSET_ELONGATION)
-    closet &= measure.area_m2 < division.space.settings.smallest_room_m2
-    if closet.sum() + 1 >= len(closet):
-        return 0
-    division.openings = [o for o in division.openings if not closet[list(o.regions)].any()]
-    division.region = np.where(closet[division.region], 0, division.region).astype(np.int32)
-    return int(closet.sum())
-
-
 def _to_building(
     plan: Plan,
     division: Division,
     graph: PathGraph,
     start: tuple[float, float] | int | None,
-    left_out: int,
 ) -> tuple[Building, list[str]]:
     kinds = {"room": (ROOM, NONE), "path": (INTERSECTION, NONE), "door": (FEATURE, DOOR)}
     kinds |= {"bend": (FEATURE, BEND), "corner": (FEATURE, CORNER), "other": (FEATURE, OTHER)}
@@ -165,8 +176,6 @@ def _to_building(
         provenance={"source": plan.name, "resolution_m": plan.resolution_m},
     )
     doubts = [*plan.doubts, *space.doubts]
-    if left_out:
-        doubts.append(f"{left_out} closets too small for a room were left out")
     return building, doubts
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from tasklift.plans.extract.axes import is_spike
 from tasklift.plans.extract.bends import role_of, taut, turn_at
 from tasklift.plans.extract.paths import Node, PathGraph, Points, line_length, straight, trace
-from tasklift.plans.extract.segment import Division, Opening, jambs
+from tasklift.plans.extract.regions import Opening, jambs
+from tasklift.plans.extract.segment import Division
 from tasklift.plans.extract.space import Space, fill_islands
 
 # A branch of a corridor that reaches less than this beyond the wall is a niche.
@@ -21,7 +22,6 @@ MERGE_SHARE = 0.6
 SHORTEST_RING_M = 1.2
 TURN_M = 2.0  # how far from a bend its two corridors show how it turns
 SAME_M = 0.6  # junctions whose corridors' axes cross so near to each other are one
-
 
 
 def draw_lines(division: Division) -> PathGraph:
@@ -41,7 +41,7 @@ def draw_lines(division: Division) -> PathGraph:
     for opening in division.openings:
         a, b = (int(root[r]) for r in opening.regions)
         if a != b:
-            ties.append((opening, [(a, opening.pixel), (b, opening.pixel)]))
+            ties.append((opening, [(side, opening.pixel) for side in (a, b) if side]))
         elif opening.is_door and not is_room[a]:
             # a corridor leads around to the door's other side: bar it, so that the skeleton ends on either side
             beside = _bar(barred, space, opening)
@@ -73,9 +73,7 @@ def draw_lines(division: Division) -> PathGraph:
         mask = region[box] == number
         corner = box[0].start, box[1].start
         points = [(point[0] - corner[0], point[1] - corner[1]) for _, point in mine]
-        part, ends = _draw_region(
-            space, mask, space.half_width_m[box], points, bool(is_room[number]), number, corner
-        )
+        part, ends = _draw_region(space, mask, space.half_width_m[box], points, bool(is_room[number]), number, corner)
         _tie(whole, part, ends, [node for node, _ in mine])
     _simplify(whole, space, is_room)
     return whole
@@ -205,9 +203,7 @@ class _Leads:
             reach *= 2
 
 
-def _reaches_out(
-    space: Space, is_room: NDArray[np.bool_] | None = None
-) -> Callable[[float, Node, Node], bool]:
+def _reaches_out(space: Space, is_room: NDArray[np.bool_] | None = None) -> Callable[[float, Node, Node], bool]:
     """Whether a dangling branch reaches far enough beyond the walls of the space that it leaves.
 
     Within a room none does: the room's node stands for all of it.
@@ -278,3 +274,25 @@ def drop_spikes(graph: PathGraph, space: Space) -> None:
                 turn = turn_at(before, np.array(graph.nodes[stem].at), after)
                 graph.nodes[stem].role = role_of(turn) or "path"
     graph.dissolve()
+
+
+def keep_joined(graph: PathGraph) -> int:
+    """Remove all but the largest part that is joined; returns how many nodes that were."""
+    parts: list[set[int]] = []
+    left = set(graph.nodes)
+    while left:
+        part = {min(left)}
+        stack = list(part)
+        while stack:
+            node = stack.pop()
+            for edge in graph.incident[node]:
+                other = graph.other(edge, node)
+                if other not in part:
+                    part.add(other)
+                    stack.append(other)
+        parts.append(part)
+        left -= part
+    lost = sorted(set(graph.nodes) - max(parts, key=len, default=set()))
+    for node in lost:
+        graph.remove_node(node)
+    return len(lost)

@@ -273,14 +273,18 @@ def trace(
 
 def _links(pixels: NDArray[np.bool_]) -> dict[tuple[int, int], list[tuple[int, int]]]:
     """The neighbours of each pixel; a diagonal step counts only where no two straight steps replace it."""
-    rows, columns = np.nonzero(pixels)
-    have = set(zip(rows.tolist(), columns.tolist(), strict=True))
-    links = {}
-    for r, c in have:
-        near = [p for p in ((r - 1, c), (r, c - 1), (r, c + 1), (r + 1, c)) if p in have]
-        for dr in (-1, 1):
-            for dc in (-1, 1):
-                if (r + dr, c + dc) in have and (r + dr, c) not in have and (r, c + dc) not in have:
-                    near.append((r + dr, c + dc))
-        links[r, c] = near
+    padded = np.pad(pixels, 1)
+    rows, columns = np.nonzero(padded)
+    width = padded.shape[1]
+    have = padded.ravel()
+    here = rows * width + columns
+    links: dict[tuple[int, int], list[tuple[int, int]]] = {
+        at: [] for at in zip((rows - 1).tolist(), (columns - 1).tolist(), strict=True)
+    }
+    for dr, dc in ((-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)):
+        linked = have[here + dr * width + dc]
+        if dr and dc:
+            linked = linked & ~have[here + dr * width] & ~have[here + dc]
+        for r, c in zip((rows[linked] - 1).tolist(), (columns[linked] - 1).tolist(), strict=True):
+            links[r, c].append((r + dr, c + dc))
     return links

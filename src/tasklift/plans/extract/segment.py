@@ -7,12 +7,13 @@ are rooms, the others corridors.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.plans.extract.mouths import cut_mouths
+from tasklift.plans.extract.mouths import cut_mouths, find_gaps, part_rooms
+from tasklift.plans.extract.regions import Opening, Regions, jambs, measure_regions
+from tasklift.plans.extract.rooms import which_are_rooms, without_furniture
 from tasklift.plans.extract.space import EIGHT, Space
 
 # A narrow place divides two spaces if its width is below this part of theirs within this distance, or below the second
@@ -32,37 +33,12 @@ DEEP_FRAME_M = 3.0
 CORRIDOR_DOOR_RATIO = 0.58
 WALL_M = 3.0
 NARROWEST_DOOR_M = 0.8
-# A room is somewhere at least twice this wide, and with one way in at most so many times longer than wide. At most this
-# part of its border is open without being a door, were it a square.
-ROOM_HALF_WIDTH_M = 0.7
-ROOM_ELONGATION = 4.0
-ROOM_OPENNESS = 0.22
-# With several ways in, all doors or not, a room is at most this many times its half width (m) times longer than wide:
-# narrow and long is a corridor.
-THROUGH_ELONGATION = 1.7
-MOUTH_ELONGATION = 1.4
-# Below this half width, and with several ways in, what opens by more than this part of its width is corridor.
-HALL_HALF_WIDTH_M = 1.85
-MOUTH_SHARE = 0.52
 # A dead end wide open to a space is part of it if its area is below this part.
 BAY_SHARE = 0.25
-# Straight ahead of a door across a corridor is looked for so far; a gap so near to an opening is the same place.
-BEYOND_M = 1.0
+# A gap so near to an opening is the same place.
 NEAR_GAP_M = 0.5
+THROAT_M = 0.25  # a doorway is looked for so far from its border
 CORRIDOR_ELONGATION = 3.0  # what is longer is not a bay of a room
-
-
-@dataclass(eq=False)
-class Opening:
-    """A narrow place between two regions: where it is (cells), how wide (m), whether it is a door.
-
-    Both regions may be the same: a door in a corridor that leads around to its other side.
-    """
-
-    pixel: tuple[int, int]
-    regions: tuple[int, int]
-    width_m: float
-    is_door: bool
 
 
 @dataclass(eq=False)
@@ -80,11 +56,16 @@ class Division:
     is_room: NDArray[np.bool_]
 
 
-def divide(space: Space) -> Division:
+def divide(space: Space, furnished: bool = True) -> Division:
     """Divide the free space at its narrow places.
 
     Every pixel climbs to the top of the ``R`` around it; tops whose pass is hardly lower than they are belong
     together. What stays apart are the regions.
+
+    Parameters
+    ----------
+    furnished
+        Whether islands in rooms are to be looked for; they are filled, and the space is divided again.
     """
     half = space.half_width_m
     top = _climb(half)
@@ -101,22 +82,21 @@ def divide(space: Space) -> Division:
     a, b, height, where = _passes(basin, half)
     root = _merge(space, basin, merged_peak, (a, b, height, where))
     region, openings, measure = _tidy(space, root[basin])
-    is_room = measure.rooms(space.settings.smallest_room_m2)
-    for opening in openings:
-        # a piece of corridor between two doors is no room, however short: it goes on beyond the door
-        if opening.is_door and _goes_on(space, opening):
-            for r in opening.regions:
-                narrow = measure.peak_m[r] < HALL_HALF_WIDTH_M and measure.exits[r] >= 2
-                is_room[r] = is_room[r] and not narrow
-    if not openings:
-        is_room[:] = False  # one space alone: its inner structure is all there is
+    gaps = find_gaps(space)
+    region, parting = part_rooms(space, region, gaps)
+    if len(parting):
+        region, openings, measure = _tidy(space, region, parting)
+    if furnished:
+        emptied = without_furniture(space, region, openings, measure)
+        if emptied is not None:
+            return divide(emptied, furnished=False)
+    is_room = which_are_rooms(space, region, openings, measure)
     ways_out = _ways_out(openings, is_room, measure)
     if ways_out:
-        region, doors = cut_mouths(space, region, ways_out, is_room)
-        openings = _openings(space, region)
+        region, doors = cut_mouths(space, region, gaps, ways_out, is_room)
+        openings = _openings(space, region, {})
         for opening in openings:
-            near = np.hypot(*(doors - opening.pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M
-            opening.is_door |= near and opening.width_m < DOOR_WIDTH_M
+            opening.is_door |= _is_near(opening.pixel, doors, space) and opening.width_m < DOOR_WIDTH_M
         measure = measure_regions(space, region, openings)
         is_room = np.pad(is_room, (0, len(measure.exits) - len(is_room)))
     walls = _Walls(space)
@@ -127,6 +107,10 @@ def divide(space: Space) -> Division:
             opening.is_door = walls.beside(opening) and _is_door(space, region, opening, True)
     openings = [o for o in openings if o.is_door or o.regions[0] != o.regions[1]]
     return Division(space, region, openings, measure, is_room)
+
+
+def _is_near(pixel: tuple[int, int], places: NDArray[np.int64], space: Space) -> bool:
+    return bool(np.hypot(*(places - pixel).T).min(initial=np.inf) * space.cell_m < NEAR_GAP_M)
 
 
 def _climb(half: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -287,32 +271,17 @@ def _sides(
     return ((region == a) * beyond * np.where(share > 0, 1, np.where(share < 0, 2, 0))).astype(np.int8)
 
 
-def _goes_on(space: Space, opening: Opening) -> bool:
-    """Whether a door stands across a corridor: straight ahead it is as wide on one side as on the other."""
-    half = float(space.half_width_m[opening.pixel])
-    ends = jambs(space.free, opening.pixel, half / space.cell_m)
-    if ends is None:
-        return False
-    across = np.subtract(ends[1], ends[0]) / np.hypot(*np.subtract(ends[1], ends[0]))
-    ahead = np.array([-across[1], across[0]]) * BEYOND_M / space.cell_m
-    widths = []
-    for sign in (-1, 1):
-        row, column = np.rint(opening.pixel + sign * ahead).astype(int).tolist()
-        if not (0 <= row < space.free.shape[0] and 0 <= column < space.free.shape[1]):
-            return False
-        widths.append(float(space.half_width_m[row, column]))
-    return min(widths) > 1.2 * half and max(widths) < 1.15 * min(widths)
-
-
 def _tidy(
-    space: Space, region: NDArray[np.int32]
+    space: Space, region: NDArray[np.int32], gaps: NDArray[np.int64] | None = None
 ) -> tuple[NDArray[np.int32], list[Opening], Regions]:
     """Join what is not a space of its own to its neighbour: slivers, bays, and the two ways around a table.
 
-    Returns the regions, the openings between them, and what is known of each.
+    Nothing is joined across the middles of ``gaps`` ``(n, 2)`` in walls. Returns the regions, the openings between
+    them, and what is known of each.
     """
+    throats: dict[tuple[int, int], tuple[int, int]] = {}
     while True:
-        openings = _openings(space, region)
+        openings = _openings(space, region, throats)
         measure = measure_regions(space, region, openings)
         root = np.arange(len(measure.area_m2), dtype=np.int32)
         mouths: dict[tuple[int, int], int] = {}
@@ -323,7 +292,8 @@ def _tidy(
         touched: set[int] = set()
         for opening in sorted(openings, key=lambda o: -o.width_m):
             a, b = sorted(opening.regions, key=lambda r: (measure.area_m2[r], r))  # a is the smaller one
-            if opening.is_door and measure.area_m2[a] >= space.settings.smallest_room_m2 / 2:
+            parted = opening.is_door or (gaps is not None and _is_near(opening.pixel, gaps, space))
+            if parted and measure.area_m2[a] >= space.settings.smallest_room_m2 / 2:
                 continue
             overflows = measure.elongation[a] < 0.8  # its own largest circle reaches into the neighbours
             tiny = measure.area_m2[a] < space.settings.smallest_room_m2 / 2
@@ -342,59 +312,10 @@ def _tidy(
         region = np.unique(root, return_inverse=True)[1].astype(np.int32)[region]
 
 
-@dataclass(eq=False)
-class Regions:
-    """What is known of each region; row 0 is what is not free. All arrays ``(regions + 1,)``.
-
-    ``elongation`` is the area over that of the square around the largest circle in it: about how many times it
-    is longer than wide. ``openness`` is the share of its border that is open without being a door, were it a
-    square; ``exits`` the number of its openings; ``mouth`` the widest that is not a door, over the largest width.
-    """
-
-    area_m2: NDArray[np.float64]
-    peak_m: NDArray[np.float64]
-    elongation: NDArray[np.float64]
-    openness: NDArray[np.float64]
-    exits: NDArray[np.int64]
-    mouth: NDArray[np.float64]
-
-    def rooms(self, smallest_m2: float) -> NDArray[np.bool_]:
-        """Which regions are rooms, with this area at least; the others are corridors."""
-        most = ROOM_ELONGATION
-        through = np.where(self.openness > 0, MOUTH_ELONGATION, THROUGH_ELONGATION)
-        longest = np.where(self.exits <= 1, most, np.minimum(most, through * self.peak_m))
-        narrow = (self.exits >= 2) & (self.peak_m < HALL_HALF_WIDTH_M)
-        return (
-            (self.area_m2 >= smallest_m2)
-            & (self.peak_m >= ROOM_HALF_WIDTH_M)
-            & (self.openness <= ROOM_OPENNESS)
-            & (self.elongation <= longest)
-            & ~(narrow & (self.mouth > MOUTH_SHARE))
-        )
-
-
-def measure_regions(space: Space, region: NDArray[np.int32], openings: list[Opening]) -> Regions:
-    """Area, half width, elongation, openness and number of exits of every region."""
-    n = int(region.max()) + 1
-    area: NDArray[Any] = np.bincount(region.ravel(), minlength=n) * space.cell_m**2
-    highest = np.zeros(n, np.float32)  # of the same type as the half width: otherwise this is twenty times slower
-    np.maximum.at(highest, region.ravel(), space.half_width_m.ravel())
-    peak = highest.astype(float)
-    area[0], peak[0] = 0, 1
-    open_m, widest, exits = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
-    for opening in openings:
-        for r in opening.regions:
-            exits[r] += 1
-            if not opening.is_door:
-                open_m[r] += opening.width_m
-                widest[r] = max(widest[r], opening.width_m)
-    openness = open_m / np.maximum(4 * np.sqrt(area), 1e-9)
-    across = np.maximum(2 * peak, space.cell_m)
-    return Regions(area, peak, area / across**2, openness, exits, widest / across)
-
-
-def _openings(space: Space, region: NDArray[np.int32]) -> list[Opening]:
-    """One opening for every connected stretch of border between two regions."""
+def _openings(
+    space: Space, region: NDArray[np.int32], throats: dict[tuple[int, int], tuple[int, int]]
+) -> list[Opening]:
+    """One opening for every connected stretch of border between two regions; ``throats`` are those found before."""
     from scipy import ndimage
 
     width = region.shape[1]
@@ -423,12 +344,31 @@ def _openings(space: Space, region: NDArray[np.int32]) -> list[Opening]:
         for s in range(1, stretch.max() + 1):
             r, c = rows[stretch == s], columns[stretch == s]
             best = int(np.argmax(half[r * width + c]))
-            pixel = int(r[best]), int(c[best])
+            at = int(r[best]), int(c[best])
+            if at not in throats:
+                throats[at] = _throat(space, at)
+            pixel = throats[at]
             # half a cell less on either side: the wall begins at the edge of its first cell
-            opening = 2 * float(half[r[best] * width + c[best]]) - space.cell_m
+            opening = 2 * float(space.half_width_m[pixel]) - space.cell_m
             found.append(Opening(pixel, pair, opening, False))
             found[-1].is_door = _is_door(space, region, found[-1], False)
     return found
+
+
+def _throat(space: Space, pixel: tuple[int, int]) -> tuple[int, int]:
+    """The cell near a place on a border that lies between two walls; the place itself if there is none.
+
+    Where a doorway was joined to one of its sides, the border lies before it.
+    """
+    reach = round(THROAT_M / space.cell_m)
+    steps = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1).T - reach
+    order = np.argsort((steps**2).sum(axis=1), kind="stable")
+    for row, column in (steps[order] + pixel).tolist():
+        if 0 <= row < space.free.shape[0] and 0 <= column < space.free.shape[1] and space.free[row, column]:
+            half = float(space.half_width_m[row, column]) / space.cell_m
+            if jambs(space.free, (row, column), half) is not None:
+                return row, column
+    return pixel
 
 
 def _ways_out(
@@ -492,32 +432,3 @@ class _Walls:
         half = float(self.space.half_width_m[opening.pixel]) / self.space.cell_m
         ends = jambs(self.space.free, opening.pixel, half)
         return ends is not None and all(self.is_wall[self.label[end]] for end in ends)
-
-
-def jambs(
-    free: NDArray[np.bool_], pixel: tuple[int, int], half: float
-) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    """The two wall cells between which a narrow place lies: the ends of the shortest line across it.
-
-    ``half`` is the distance of the nearest wall (cells); ``None`` if no line is shorter than 1.5 times what
-    that asks for.
-    """
-    angle = np.arange(36) * (np.pi / 36)
-    away = np.arange(0.5, 3 * half + 2, 0.5)
-    ends = []
-    for sign in (1, -1):
-        rows = np.rint(pixel[0] + sign * np.sin(angle)[:, None] * away).astype(np.int64)
-        columns = np.rint(pixel[1] + sign * np.cos(angle)[:, None] * away).astype(np.int64)
-        inside = (rows >= 0) & (columns >= 0) & (rows < free.shape[0]) & (columns < free.shape[1])
-        wall = ~free[np.where(inside, rows, 0), np.where(inside, columns, 0)] & inside
-        first = np.argmax(wall, axis=1)
-        hit = wall[np.arange(len(angle)), first]
-        ends.append((np.where(hit, away[first], np.inf), rows, columns, first))
-    chord = ends[0][0] + ends[1][0]
-    best = int(np.argmin(chord))
-    if chord[best] > 3 * half + 2:
-        return None
-    (r1, c1), (r2, c2) = (
-        (int(rows[best, first[best]]), int(columns[best, first[best]])) for _, rows, columns, first in ends
-    )
-    return (r1, c1), (r2, c2)

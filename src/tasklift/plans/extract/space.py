@@ -29,6 +29,7 @@ LONE_SPECKLE_M = 0.2
 # this, in pieces of a metre, is not a building's.
 MOST_CELLS = 17_000_000
 OPEN_M = 60.0
+EDGE_DOUBT = "the free space runs along the picture's edge: is the outdoors taken for the building?"
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,8 @@ class Settings:
 class Space:
     """The free space of one building. All arrays ``(H, W)``; row, column + ``corner`` are the plan's cells.
 
-    Islands in it smaller than ``furniture_m`` were taken out.
+    Islands in it smaller than ``furniture_m`` were taken out. ``sheet`` are the rows and columns of the whole plan,
+    ``left_out_m2`` is the area of other free regions, which are not the outdoors.
     """
 
     free: NDArray[np.bool_]
@@ -66,12 +68,36 @@ class Space:
     corner: tuple[int, int]
     settings: Settings = field(default_factory=Settings)
     furniture_m: float = FURNITURE_M
+    sheet: tuple[int, int] = (0, 0)
+    left_out_m2: float = 0.0
     doubts: list[str] = field(default_factory=list)
 
     @cached_property
     def outline(self) -> Outline:
         """The straight walls of the space."""
         return Outline(self.free, STRAIGHT_M / self.cell_m)
+
+    @property
+    def at_edge(self) -> NDArray[np.bool_]:
+        """``bool (H, W)``: the cells at the edge of the plan."""
+        rows, columns = (np.arange(size) + first for size, first in zip(self.free.shape, self.corner, strict=True))
+        along = [np.isin(index, (0, size - 1)) for index, size in zip((rows, columns), self.sheet, strict=True)]
+        return along[0][:, None] | along[1][None]
+
+    @property
+    def edge_cells(self) -> int:
+        """How many cells there are along the plan's edge."""
+        return 2 * (self.sheet[0] + self.sheet[1])
+
+    def part_of(self, pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The plan's ``pixels`` as cells of this space; one is true if any of its pixels is."""
+        cells = ~_coarser(~pixels, self.factor)
+        found = np.zeros(self.free.shape, bool)
+        first = np.maximum(self.corner, 0)
+        last = np.minimum(np.add(self.corner, self.free.shape), cells.shape)
+        into = tuple(slice(a - c, b - c) for a, b, c in zip(first, last, self.corner, strict=True))
+        found[into] = cells[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
+        return found
 
     def to_plan(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Rows and columns of the plan, in its pixels, of points ``(n, 2)`` given in cells."""
@@ -110,6 +136,7 @@ def clean(
     if not free.any():
         raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
     _refuse_open_country(plan.name, free, cell)
+    sheet = free.shape
     free = np.pad(free, 1)
     filled = fill_islands(free, speckle_m / cell)
     free = free | filled
@@ -121,7 +148,7 @@ def clean(
             "(--narrowest lets narrower passages through)"
         )
     inside = None if seeds is None else np.floor(np.asarray(seeds) / factor).astype(int) + 1
-    chosen = _choose(plan.name, _pieces(core, radius), cell, inside, doubts)
+    chosen, left_out_m2 = _choose(plan.name, _pieces(core, radius), cell, inside, doubts)
     rows, columns = (np.flatnonzero(chosen.any(axis=1 - axis)) for axis in (0, 1))
     box = slice(rows[0] - 1, rows[-1] + 2), slice(columns[0] - 1, columns[-1] + 2)
     chosen, filled = chosen[box], filled[box]
@@ -130,7 +157,7 @@ def clean(
     chosen = chosen | furniture
     half = to_wall(chosen) * np.float32(cell)
     corner = int(rows[0]) - 2, int(columns[0]) - 2
-    return Space(chosen, half, filled, cell, factor, corner, settings, furniture_m, doubts)
+    return Space(chosen, half, filled, cell, factor, corner, settings, furniture_m, sheet, left_out_m2, doubts)
 
 
 def _refuse_open_country(name: str, free: NDArray[np.bool_], cell: float) -> None:
@@ -155,10 +182,11 @@ def _nearest_wall(free: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray
 
     nearest = ndimage.distance_transform_edt(free, return_distances=False, return_indices=True)
     # scipy's own distances take twice the time and the memory; whole numbers up to 4,096 squared stay whole in these
-    square = np.zeros(free.shape, np.float32)
+    square, away = np.zeros(free.shape, np.float32), np.empty(free.shape, np.float32)
     for axis, size in enumerate(free.shape):
         cells = np.arange(size, dtype=np.int32).reshape((-1, 1) if axis == 0 else (1, -1))
-        square += np.square((nearest[axis] - cells).astype(np.float32))
+        np.subtract(nearest[axis], cells, out=away, casting="unsafe")
+        square += np.multiply(away, away, out=away)
     return np.sqrt(square, out=square), nearest
 
 
@@ -203,8 +231,11 @@ def fill_islands(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
 
 def _choose(
     name: str, label: NDArray[np.int32], cell: float, seeds: NDArray[np.int64] | None, doubts: list[str]
-) -> NDArray[np.bool_]:
-    """The piece of free space with most of the seeds in it, or the largest that is not the outdoors."""
+) -> tuple[NDArray[np.bool_], float]:
+    """The piece of free space with most of the seeds in it, or the largest that is not the outdoors.
+
+    Returns it, and the area (m²) of the other pieces.
+    """
     area = np.bincount(label.ravel()) * cell**2
     area[0] = 0
     if seeds is not None:
@@ -214,7 +245,7 @@ def _choose(
         if not votes.any():
             raise TaskliftError(f"{name}: the seed point is not on free space; choose a point inside the building")
         chosen: NDArray[np.bool_] = np.isin(label, np.argmax(votes))
-        return chosen
+        return chosen, 0.0
     # the outdoors lies along much of the picture's edge; a room that was scanned up to the edge does not
     edge = np.concatenate([label[1], label[-2], label[:, 1], label[:, -2]])
     outdoors = np.bincount(edge, minlength=len(area)) > 0.25 * len(edge)
@@ -222,7 +253,7 @@ def _choose(
     bounded = np.where(outdoors, 0, area)
     best = int(np.argmax(bounded)) if bounded.max() > 0 else int(np.argmax(area))
     if outdoors[best]:
-        doubts.append("the free space runs along the picture's edge: is the outdoors taken for the building?")
+        doubts.append(EDGE_DOUBT)
     elif outdoors.any():
         doubts.append(f"{area[outdoors].sum():.0f} m² along the picture's edge were taken for the outdoors")
     others = [float(a) for i, a in enumerate(area) if i != best and not outdoors[i] and a >= 4.0]
@@ -231,4 +262,4 @@ def _choose(
             f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
             f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
         )
-    return np.isin(label, best)
+    return np.isin(label, best), sum(others)

@@ -155,7 +155,7 @@ def test_kinds_classes_and_sizes_are_read_as_written():
     assert building.area_m2.tolist() == [12.5, 0, 0, 0]
     assert building.obstacles.tolist() == [2, 0, 0, 0]
     assert (building.n_nodes, building.n_edges) == (4, 3)
-    assert repr(building) == "Building('flat': 1 rooms, 1 intersections, 2 features, 3 edges)"
+    assert repr(building) == "Building('flat': 1 room, 1 intersection, 2 features, 3 edges)"
 
 
 def test_arrays_cannot_be_changed():

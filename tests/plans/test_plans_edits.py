@@ -225,7 +225,7 @@ def test_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     (tmp_path / "e.txt").write_text(f"{HEADER}\nset class at 5.5 3 to other\n")
     run = CliRunner().invoke
     for arguments, part in (
-        ("import map.yaml", "2 rooms, 0 intersections, 1 features"),
+        ("import map.yaml", "2 rooms, 0 intersections, 1 feature"),
         ("import map.yaml -o x.json --overlay x.svg --start 8,3 --edits e.txt", "2 rooms"),
         ("show map.json -o s.png --plan map.yaml", "wrote s.png"),
         ("check map.json --nodes", "door"),

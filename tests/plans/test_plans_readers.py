@@ -135,7 +135,7 @@ def test_pixels_and_metres_are_inverse(x: float, y: float, yaw: float, resolutio
 
 def test_two_rooms_and_a_door(tmp_path: Path) -> None:
     building, _ = import_map(write_map(tmp_path, image=pgm(two_rooms())))
-    assert repr(building).endswith("2 rooms, 0 intersections, 1 features, 2 edges)")
+    assert repr(building).endswith("2 rooms, 0 intersections, 1 feature, 2 edges)")
     door = building.position_m[building.feature_class == 4][0]
     assert np.hypot(*(door - [5.5, 3.05])) < 0.3
     rooms = np.sort(building.area_m2[building.kind == 0])
@@ -311,7 +311,7 @@ def test_rmf_rooms_and_doors_are_exact(tmp_path: Path) -> None:
     path = tmp_path / "x.building.yaml"
     path.write_text(RMF)
     building, doubts = import_map(path)
-    assert repr(building).endswith("2 rooms, 0 intersections, 1 features, 2 edges)")
+    assert repr(building).endswith("2 rooms, 0 intersections, 1 feature, 2 edges)")
     assert not doubts
     assert np.allclose(building.position_m[building.feature_class == 4], [[5.0, -2.5]], atol=0.1)
     assert np.allclose(building.area_m2[building.kind == 0], 25.0, rtol=0.05)

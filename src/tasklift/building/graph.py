@@ -97,7 +97,7 @@ class Building:
     ...     edges=[(0, 1), (1, 2)], length_m=[4, 4], width_m=[1.2, 1.2], start=0,
     ... )
     >>> hall
-    Building('hall': 2 rooms, 0 intersections, 1 features, 2 edges)
+    Building('hall': 2 rooms, 0 intersections, 1 feature, 2 edges)
     >>> hall.neighbour[hall.indptr[1] : hall.indptr[2]].tolist()
     [0, 2]
     """

@@ -20,7 +20,7 @@ DOCS = ROOT / "docs"
 GENERATED = re.compile(r"(\.\./)?(replays/\w+\.html|reference/commands\.md|changelog\.md|contributing\.md)$")
 
 
-@pytest.mark.parametrize("page", ["method", "simulator", "experiments", "watch", "extending"])
+@pytest.mark.parametrize("page", ["method", "simulator", "experiments", "watch", "extending", "robot"])
 def test_code_blocks_run_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(), re.DOTALL)

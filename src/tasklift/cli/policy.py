@@ -80,13 +80,34 @@ def _met(policy: Policy, building: Path | None, file: Path) -> set[int] | None:
 
 @policy_group.command("export")
 @click.argument("file", type=path)
-@click.option("-o", "--out", type=path, required=True, help="A .csv file.")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
-def policy_export(file: Path, out: Path, force: bool) -> None:
-    """Write a policy as a table: one line per state and action, with weight and probability."""
-    from tasklift.files import output_file, write_atomically
+@click.option("-o", "--out", type=path, required=True, help="A file, or a folder for a ROS 2 package.")
+@click.option("--kind", type=click.Choice(["json", "csv", "onnx", "python", "c", "ros2"]),
+              help="[default: by OUT's name]")
+@click.option("--force", is_flag=True, help="Replace what is there.")
+def policy_export(file: Path, out: Path, kind: str | None, force: bool) -> None:
+    """Write a policy for use elsewhere: .json, .csv, .onnx, .py, .h, or a ROS 2 package in a folder.
+
+    All of them make the same decisions as the policy, and none needs tasklift. A .py has act(inputs); a .h is C99;
+    a .csv has one line per state and action, with weight and probability.
+    """
+    from tasklift.files import output_file, output_folder, write_atomically
+    from tasklift.tasks import exports
     from tasklift.tasks.policy import Policy
 
-    output_file(out, (".csv",), force=force, reads=[file])
-    write_atomically(out, Policy.load(file).to_csv(), replace=force)
+    kind = exports.kind_of(out, kind)
+    policy = Policy.load(file)
+    if kind == "ros2":
+        files = exports.to_ros2(policy, out.resolve().name)
+        output_folder(out, ("package.xml",))
+        for name in files:
+            (out / name).parent.mkdir(exist_ok=True)
+            output_file(out / name, force=force, reads=[file])
+        for name, text in files.items():
+            write_atomically(out / name, text, replace=force)
+    else:
+        output_file(out, (exports.SUFFIXES[kind],), force=force, reads=[file])
+        if kind == "json":
+            policy.save(out)
+        else:
+            write_atomically(out, exports.content(policy, kind, out.stem), replace=force)
     say(f"written: {out}")

@@ -244,7 +244,7 @@ class Task:
         for index in indices:
             values = self.input_values(index)
             found.append([variable.position(values[variable.name]) for variable in self.inputs])
-        return np.array(found, dtype=np.int64).reshape(-1, len(self.inputs))
+        return np.array(found, dtype=np.int64).reshape(len(found), len(self.inputs))
 
     def where(self, when: Condition, inputs: NDArray[np.int64] | None = None) -> NDArray[np.bool_]:
         """Return the mask, bool (S, A), of the inputs and outputs at which a condition holds.

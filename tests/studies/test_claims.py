@@ -66,6 +66,16 @@ def test_c9_reads_the_weights_of_the_right_feature():
     assert [found[c, "copy", None] for c in ("C9a", "C9b")] == ["does not hold"] * 2
 
 
+def test_c11_is_judged_against_the_best_policy_known():
+    rng = np.random.default_rng(5)
+    direct, copy = sample(rng, greedy=400), sample(rng, greedy=250)
+    (found,) = (f for f in evaluate({"direct": direct, "copy": copy}, "test", resamples=500) if f.claim == "C11")
+    assert found.verdict == "holds"
+    samples = {"direct": direct, "copy": copy, "best-known": sample(rng, steps=200, greedy=200)}
+    (found,) = (f for f in evaluate(samples, "test", resamples=500) if f.claim == "C11")
+    assert (found.reference, found.use, found.verdict) == ("best-known", "as drawn", "does not hold")
+
+
 def test_c12_counts_maps():
     rng = np.random.default_rng(8)
     spread = {"maps": np.repeat([f"map-{i}" for i in range(8)], 6), "seeds": np.tile(np.arange(6), 8)}

@@ -79,8 +79,9 @@ class Setting:
             places = len(hostile_candidates(self.building))
             if self.n_hostiles > places:
                 raise TaskliftError(
-                    f"hostiles: asked for {self.hostiles}, but {self.building.name!r} has {places} door(s) that are "
-                    "not next to the start; ask for fewer, add doors, or name the features they stand at"
+                    f"hostiles: asked for {self.hostiles}, but {self.building.name!r} has {places} place(s) for "
+                    "them: doors (other features if it has none) not next to the start; ask for fewer, add doors, or "
+                    "name the features they stand at"
                 )
         armed = sum(number for kind, number in self.team.items() if kind.armed)
         if self.n_hostiles and self.weapons_needed > armed:

@@ -34,6 +34,13 @@ from tasklift.cli.terminal import say, say_json
     show_default=True,
     help="Generated buildings for Figure 3 and its claims.",
 )
+@click.option(
+    "--practice",
+    type=positive,
+    default=36_000,
+    show_default=True,
+    help="Safe episodes of the search per building and preset, for the best policy known.",
+)
 @folder("reproduction")
 @running
 def reproduce(**options: Any) -> None:

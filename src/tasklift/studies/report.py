@@ -16,7 +16,7 @@ from tasklift.files import write_atomically
 from tasklift.lab import FILE_NAME, Store
 from tasklift.report.charts import Series
 from tasklift.report.page import Report
-from tasklift.studies.arms import ARMS, Arm
+from tasklift.studies.arms import ARMS, BEST, Arm
 from tasklift.studies.claims import CLAIMS, LAST, Finding, indirect
 from tasklift.studies.samples import Sample
 from tasklift.studies.study import Study
@@ -32,7 +32,7 @@ def save_policies(study: Study, folder: Path, condition: str, building: str) -> 
     Parameters
     ----------
     study
-        Its arms are trained again, since stores keep no policies.
+        Its arms are trained again, since stores keep no policies but the best known.
     folder
         Made if it is not there.
     condition, building
@@ -41,7 +41,7 @@ def save_policies(study: Study, folder: Path, condition: str, building: str) -> 
     folder.mkdir(exist_ok=True)
     paths = []
     for slug in study.slugs(building):
-        if study.arms[slug].learns:
+        if study.arms[slug].learns and slug != BEST.slug:
             paths.append(folder / f"{condition}-{slug}.json")
             if not paths[-1].exists():
                 study.train(study.cell(condition, building, 0, slug)).policy.save(paths[-1])
@@ -218,13 +218,18 @@ def add_settings(report: Report, store: Store, command: str) -> None:
 
 
 def write_summary(
-    path: Path, samples: Mapping[str, Mapping[str, Sample]], findings: Sequence[Finding], command: str
+    path: Path,
+    samples: Mapping[str, Mapping[str, Sample]],
+    findings: Sequence[Finding],
+    further: tuple[Sequence[str], Sequence[Sequence[Any]]],
+    command: str,
 ) -> None:
-    """Write the tables of the report as Markdown, for pages that quote them."""
+    """Write the tables of the report as Markdown, ``further`` among them, for pages that quote them."""
     parts = [f"Made by `{command}` (tasklift {tasklift.__version__}).\n"]
     for condition, arms in samples.items():
         parts.append(f"Preset {condition}, means over all cells:\n\n{markdown_table(*arm_table(arms))}")
     slugs = next(iter(samples.values()))
+    parts.append(markdown_table(*further))
     parts.append(markdown_table(*glance(findings, list(samples), slugs)))
     parts.append(markdown_table(FINDING_HEADERS, finding_rows(findings)))
     write_atomically(path, "\n".join(parts))

@@ -31,7 +31,7 @@ from tasklift.learning.curriculum import Curriculum, CurriculumRun
 from tasklift.learning.learner import InTurn, Learner, Run
 from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
 from tasklift.learning.search import PolicySearch
-from tasklift.studies.arms import ARMS, PRACTICE, Arm, Setup, arms_named
+from tasklift.studies.arms import ARMS, BEST, PRACTICE, Arm, Setup, arms_named
 from tasklift.tasks.policy import Policy
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class Record:
     policy
         Whether the learned policy is used greedily afterwards, and its weights are summed up.
     weights
-        Whether the learned policy's weights are kept as well.
+        Whether the learned policy's weights are kept as well. Those of the best policy known always are.
     """
 
     columns: tuple[str, ...] = COLUMNS
@@ -320,7 +320,7 @@ class Study:
         attachments: dict[str, Any] = {}
         if self.record.policy:
             attachments |= self._coverage(cell, run)
-            if self.record.weights:
+            if self.record.weights or arm.slug == BEST.slug:
                 attachments["weights"] = run.policy.weights
             if "target" in run.outcomes:
                 attachments["move_weights"] = move_weights(run.policy)

@@ -255,13 +255,13 @@ def _price(study: Study, condition: str, building: str, slug: str) -> Price:
 def headline(certificate: Certified, best: Candidate, mission: Mission, price: Price) -> str:
     """Say what the policy that is handed over does, how sure that is, and what it cost."""
     counts, bounds = certificate.counts, certificate.bounds
-    n = counts.episodes
+    n, least = counts.episodes, least_steps(mission)
     return (
         f"ready: policy.json solves {_percent(counts.solved / n)} of episodes (at least "
         f"{_percent(bounds.solved_at_least)}) and loses {100 * counts.lost / n:.2f} robots per 100 episodes (at most "
         f"{bounds.lost_per_100_at_most:.2f}; both {100 * certificate.confidence:g} % sure), in {counts.steps / n:.0f} "
-        f"steps (at least {least_steps(mission)} are needed); made by {best.arm.label} from {price.safe:,} safe and "
-        f"{price.dangerous:,} dangerous episodes"
+        f"steps ({counts.steps / n / least:.1f} times the least possible, {least}); made by {best.arm.label} from "
+        f"{price.safe:,} safe and {price.dangerous:,} dangerous episodes"
     )
 
 
@@ -334,14 +334,16 @@ def _report(
     picture, _ = pictures.save(frontier_figure(found, ready), folder / "figures", "frontier")
     page.figure(picture, "Speed against safety: every policy learned, larger where it solves more. Each point of the "
                 "frontier is a file in `policies/`.")  # fmt: skip
-    headers = ["arm", "seed", "solved (%)", "robots lost per 100", "steps", "safe episodes", "dangerous episodes"]
+    least = least_steps(mission)
+    headers = ["arm", "seed", "solved (%)", "robots lost per 100", "steps", "times the least", "safe episodes",
+               "dangerous episodes"]  # fmt: skip
     rows = [
         [c.arm.label, c.seed, round(100 * c.solved, 1), round(100 * c.lost, 1), round(c.steps),
-         price[c.arm.slug].safe, price[c.arm.slug].dangerous]
+         round(c.steps / least, 1), price[c.arm.slug].safe, price[c.arm.slug].dangerous]
         for c in found
     ]  # fmt: skip
-    page.table(headers, rows, caption=f"Policies in {CHOICE_EPISODES} fresh episodes, hostiles placed afresh; at least "
-               f"{least_steps(mission)} steps are needed")  # fmt: skip
+    page.table(headers, rows, caption=f"Policies in {CHOICE_EPISODES} fresh episodes, hostiles placed afresh; no "
+               f"policy can take fewer than {least} steps")  # fmt: skip
     picture, _ = pictures.save(figures.figure1(mission.building), folder / "figures", "building")
     page.figure(picture, "The building as a plan and as its graph.")
     report.add_arms(page, samples, arms)

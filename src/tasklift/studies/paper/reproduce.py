@@ -19,13 +19,13 @@ from tasklift.lab.runs import export
 from tasklift.report import pictures
 from tasklift.report.page import Report
 from tasklift.studies import report
-from tasklift.studies.arms import ARMS, PAPER, arms_named
+from tasklift.studies.arms import ARMS, BEST, PAPER, PRACTICE, arms_named
 from tasklift.studies.claims import CLAIMS, Finding, after_holm, evaluate, indirect
-from tasklift.studies.paper import figures
+from tasklift.studies.paper import best, figures
 from tasklift.studies.paper import survey as surveys_of
 from tasklift.studies.paper.survey import Survey
 from tasklift.studies.samples import Sample
-from tasklift.studies.study import Part, Study, generated
+from tasklift.studies.study import GREEDY_TRIALS, Part, Study, generated
 
 #: The seed of the first map on which nothing is learned; a study's own maps begin at 0.
 FIRST_UNSEEN = 5000
@@ -37,12 +37,12 @@ USUAL = tuple(arm.slug for arm in PAPER)
 Samples = Mapping[str, Mapping[str, Sample]]
 
 
-def study(*, maps: int, seeds: int, trials: int, arms: Sequence[str], survey: int) -> Study:
-    """Return the paper's experiment: arms × presets × maps × seeds, and V alone on the survey's maps.
+def study(*, maps: int, seeds: int, trials: int, arms: Sequence[str], survey: int, practice: int = PRACTICE) -> Study:
+    """Return the paper's experiment: arms × presets × maps × seeds, one search per map, V alone on the survey's maps.
 
     Parameters
     ----------
-    maps, seeds, trials, arms, survey
+    maps, seeds, trials, arms, survey, practice
         As in :func:`reproduce`.
 
     Raises
@@ -64,9 +64,11 @@ def study(*, maps: int, seeds: int, trials: int, arms: Sequence[str], survey: in
         surveys_of.conditions(),
         (
             Part(tuple(arms), tuple(PRESETS), tuple(own), tuple(range(seeds))),
+            best.part(list(own)),
             *surveys_of.parts(list(surveyed)),
         ),
         trials=trials,
+        practice=practice,
         unseen=generated(range(FIRST_UNSEEN, FIRST_UNSEEN + maps)),
     )
 
@@ -79,6 +81,7 @@ def reproduce(
     trials: int = 100,
     arms: Sequence[str] = USUAL,
     survey: int = 60,
+    practice: int = PRACTICE,
     command: str = "",
     progress: Progress | None = None,
     **engine: Any,
@@ -95,6 +98,8 @@ def reproduce(
         Slugs; at least one indirect arm such as ``copy``, and the arm that each is judged against.
     survey
         Generated buildings for Figure 3 (claims C1, C2).
+    practice
+        Safe episodes of the search, once per map and preset, that shows how good a policy can be (claim C11).
     command
         The line that runs this again, for the report.
     progress, engine
@@ -105,7 +110,7 @@ def reproduce(
     TaskliftError
         Before anything is trained or overwritten.
     """
-    plan = study(maps=maps, seeds=seeds, trials=trials, arms=arms, survey=survey)
+    plan = study(maps=maps, seeds=seeds, trials=trials, arms=arms, survey=survey, practice=practice)
     first = plan.parts[0]
     folder = output_folder(out, (FILE_NAME,))
     with Store.open(folder / FILE_NAME, plan.spec("the paper's experiment")) as store:
@@ -120,21 +125,28 @@ def reproduce(
             name: {slug: Sample.of(store, slug, among=asked, reading=name).last(trials) for slug in arms}
             for name in PRESETS
         }
+        known = {
+            name: samples[name] | {BEST.slug: best.searched(plan, store, name, first.maps, first.seeds)}
+            for name in PRESETS
+        }
         findings = after_holm(
-            [f for name in PRESETS for f in evaluate(samples[name], name, coverage=surveys[name].coverage)]
+            [f for name in PRESETS for f in evaluate(known[name], name, coverage=surveys[name].coverage)]
         )
+        excess = [row for name in PRESETS for row in best.excess(plan, name, known[name])]
         say(1, 4, "writing rows and policies")
         if len(plan.cells()) <= MOST_CELLS_EXPORTED:
             export(folder, folder / "rows.csv")
         report.write_claims(findings, folder / "claims.csv")
         for name in PRESETS:
             report.save_policies(plan, folder / "policies", name, first.maps[0])
+            found = best.policy(plan, store, name, first.maps[0])
+            found.save(folder / "policies" / f"{name}-{BEST.slug}.json")
         say(2, 4, "drawing the figures")
         drawn = _draw(folder / "figures", plan.buildings[first.maps[0]], samples, surveys["scattered"])
         say(3, 4, "writing the report")
         path = folder / "report.html"
-        report.write_summary(folder / "summary.md", samples, findings, command)
-        _report(plan, store, samples, surveys, findings, drawn, command).write(path)
+        report.write_summary(folder / "summary.md", samples, findings, (best.HEADERS, excess), command)
+        _report(plan, store, samples, surveys, findings, excess, drawn, command).write(path)
         say(4, 4, "done")
     return path
 
@@ -194,6 +206,7 @@ def _report(
     samples: Samples,
     surveys: Mapping[str, Survey],
     findings: Sequence[Finding],
+    excess: Sequence[Sequence[Any]],
     drawn: Mapping[str, Path],
     command: str,
 ) -> Report:
@@ -209,6 +222,14 @@ def _report(
     report.add_arms(page, first.arms)
     for condition, arms in samples.items():
         page.table(*report.arm_table(arms), caption=f"Preset **{condition}**, means over all cells")
+    page.section("How good could a policy be?")
+    page.paragraph(
+        "No policy can be faster than a bound that follows from the building: the farthest corridor and room must be "
+        "reached, and somebody must travel all corridors. *Best known* is the policy of one search per map in drills "
+        "with a hostile at every door."
+    )
+    page.table(best.HEADERS, excess, caption=f"The policies that arms end with, in {GREEDY_TRIALS} further trials per "
+               "map and seed: always the heaviest output, but as drawn for expert and best known")  # fmt: skip
     page.section("The claims")
     page.paragraph(
         "Intervals are 95 %, one by one, the spread measured within maps (C1 and C2: t intervals for all maps "

@@ -70,7 +70,7 @@ def step():
 PEERS = (
     Peer(
         "pursuit", "pettingzoo[sisl]", "grid pursuit with local pictures (PettingZoo)", "15",
-        "from pettingzoo.sisl import pursuit_v4\nenv = pursuit_v4.parallel_env(n_pursuers=15)\n" + PARALLEL,
+        "from pettingzoo.sisl import pursuit_v5\nenv = pursuit_v5.parallel_env(n_pursuers=15)\n" + PARALLEL,
     ),
     Peer(
         "simple_spread", "mpe2", "points in a plane, collisions (MPE2)", "15",
@@ -265,19 +265,33 @@ def version(python: str, package: str) -> str:
     return subprocess.run([python, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def measure(python: str, script: str, *, cores: int, batch: int, seconds: float) -> dict[str, float]:
-    """Run a script once; return agent-steps per second of processor time and of the clock."""
-    settings = f"BATCH, LANES, THREADS, SECONDS = {batch}, {4 * cores}, {cores}, {seconds}\n"
-    environment = dict(os.environ, OMP_NUM_THREADS=str(cores), MKL_NUM_THREADS=str(cores), JAX_PLATFORMS="cpu")
-    environment["XLA_FLAGS"] = f"--xla_cpu_multi_thread_eigen={'true' if cores > 1 else 'false'}"
-    where = ["taskset", "--cpu-list", f"0-{cores - 1}"] if shutil.which("taskset") else []
-    done = subprocess.run(
-        [*where, python, "-c", settings + script + MEASURE], capture_output=True, text=True, check=False,
-        env=environment, timeout=600,
-    )  # fmt: skip
-    if done.returncode:
-        raise RuntimeError((done.stderr.strip().splitlines() or ["no output"])[-1][:200])
-    return json.loads(done.stdout.strip().splitlines()[-1])
+def measure(python: str, script: str, *, cores: int, batch: int, seconds: float) -> float:
+    """Return agent-steps per second: of processor time on one core, of the clock on several.
+
+    An environment that is stepped alone runs once on each core.
+    """
+    copies, threads = (cores, 1) if batch == 1 else (1, cores)
+    settings = f"BATCH, LANES, THREADS, SECONDS = {batch}, {4 * threads}, {threads}, {seconds}\n"
+    environment = dict(os.environ, OMP_NUM_THREADS=str(threads), MKL_NUM_THREADS=str(threads), JAX_PLATFORMS="cpu")
+    environment["XLA_FLAGS"] = f"--xla_cpu_multi_thread_eigen={'true' if threads > 1 else 'false'}"
+    running = []
+    for copy in range(copies):
+        pinned = f"{copy}" if copies > 1 or threads == 1 else f"0-{threads - 1}"
+        where = ["taskset", "--cpu-list", pinned] if shutil.which("taskset") else []
+        running.append(
+            subprocess.Popen(
+                [*where, python, "-c", settings + script + MEASURE],
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+            )
+        )  # fmt: skip
+    total = 0.0
+    for process in running:
+        out, err = process.communicate(timeout=600)
+        if process.returncode:
+            raise RuntimeError((err.strip().splitlines() or ["no output"])[-1][:200])
+        found = json.loads(out.strip().splitlines()[-1])
+        total += found["per_cpu_s" if cores == 1 else "per_wall_s"]
+    return total
 
 
 @dataclass(frozen=True)
@@ -355,7 +369,7 @@ def main() -> None:
                 except (RuntimeError, subprocess.TimeoutExpired) as error:
                     print(f"{job.name}, {job.way}, {cores} core(s): {error}", file=sys.stderr)
                     continue
-                by_cores[cores].append(got["per_cpu_s"] if cores == 1 else got["per_wall_s"])
+                by_cores[cores].append(got)
                 print(f"{turn + 1} {job.name}, {job.way}, {cores} core(s): {by_cores[cores][-1]:,.0f}", flush=True)
     made = table(found)
     print(made)

@@ -17,7 +17,9 @@ from tasklift.studies.study import GREEDY_TRIALS
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 #: Written by docs/theme/hooks.py when the site is built, whose strict build checks links to them.
-GENERATED = re.compile(r"(\.\./)?(replays/\w+\.html|reference/commands\.md|changelog\.md|contributing\.md)$")
+GENERATED = re.compile(
+    r"(\.\./)?(replays/\w+\.html|reference/(commands|names)\.md|changelog\.md|contributing\.md)$"
+)
 
 
 @pytest.mark.parametrize("page", ["method", "simulator", "experiments", "watch", "extending", "robot"])

@@ -179,18 +179,38 @@ def edit_command(building: Path, edits: Path, out: Path, overlay: Path | None, f
 @map_group.command("export")
 @click.argument("building", type=_file)
 @click.argument("out", type=_file)
-@click.option("--resolution", type=float, default=0.05, show_default=True, help="Metres per pixel.")
+@click.option("--radius", type=float, default=0.3, show_default=True, help="Routes: how far from walls they stay, m.")
+@click.option("--plan", type=_file, help="Routes: the floor plan.  [default: the one in BUILDING]")
+@click.option("--level", help="The level of the plan.")
+@click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")
+@click.option("--resolution", type=float, default=0.05, show_default=True, help="ROS map: metres per pixel.")
 @_force
-def export_command(building: Path, out: Path, resolution: float, force: bool) -> None:
-    """Write a building as .graph (patrolling_sim) or as a ROS map (.yaml and .pgm)."""
+def export_command(
+    building: Path,
+    out: Path,
+    radius: float,
+    plan: Path | None,
+    level: str | None,
+    allow_outside: bool,
+    resolution: float,
+    force: bool,
+) -> None:
+    """Write a building for other programs, by the ending of OUT.
+
+    Routes for robots: .geojson (Nav2 route server), .lif.json (Layout Interchange Format), .nav.yaml (open-rmf
+    navigation graph). Else .graph (patrolling_sim), or .yaml (ROS map, with a .pgm).
+    """
     from tasklift.files import output_file
     from tasklift.plans.exporting import ENDINGS, export, outputs
+    from tasklift.plans.importing import read_plan
     from tasklift.plans.read import load_building
 
-    output_file(out, ENDINGS, force=force, reads=[building])
+    reads = [building, *([plan] if plan else [])]
+    output_file(out, ENDINGS, force=force, reads=reads)
     for target in outputs(out):
-        output_file(target, force=force, reads=[building])
-    for remark in export(load_building(building), out, resolution):
+        output_file(target, force=force, reads=reads)
+    drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside)
+    for remark in export(load_building(building), out, resolution, plan=drawn_on, radius_m=radius):
         click.echo(f"note: {remark}")
     click.echo(f"wrote {' and '.join(map(str, outputs(out)))}")
 

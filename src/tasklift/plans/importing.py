@@ -11,6 +11,7 @@ from tasklift.files import PathLike, output_file
 from tasklift.plans.edits import apply_edits, read_edits
 from tasklift.plans.extract.building import extract
 from tasklift.plans.extract.space import DOOR_RULES, Settings
+from tasklift.plans.floor import pack
 from tasklift.plans.overlay import ENDINGS as PICTURES
 from tasklift.plans.overlay import draw_overlay
 from tasklift.plans.places import Places
@@ -94,7 +95,8 @@ def import_map(
         building, doubts = found.building(start=start), found.doubts
     else:
         raise source.fault("is a building already; use 'map show' or 'map edit'")
-    building = replace(building, provenance=building.provenance | {"imported_from": source.path.name, "doubts": doubts})
+    origin = {"imported_from": source.path.name, "doubts": doubts} | ({} if plan is None else {"plan": pack(plan)})
+    building = replace(building, provenance=building.provenance | origin)
     if edits is not None:
         say("applying the edits")
         building, notes = apply_edits(building, read_edits(edits))

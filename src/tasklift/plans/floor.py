@@ -39,7 +39,7 @@ def pack(plan: Plan) -> dict[str, Any]:
     image.putpalette([grey for shade in GREYS for grey in (shade, shade, shade)])
     buffer = io.BytesIO()
     image.save(buffer, "PNG", bits=2, optimize=True)
-    below = plan.free.shape[0] - (free.shape[0] - bottom) * factor  # blocks are whole from the lower edge on
+    below = plan.free.shape[0] - (free.shape[0] - bottom) * factor  # blocks begin at the lower edge
     corner = plan.to_world(np.array([below], float), np.array([left * factor], float))[0]
     return {
         "png": base64.b64encode(buffer.getvalue()).decode(),
@@ -100,7 +100,7 @@ def _coarser(plan: Plan) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
         factor += 1
     if factor == 1:
         return plan.free, plan.unknown, 1
-    # whole blocks from the lower left corner, which is the origin
+    # blocks begin at the lower left corner, which is the origin
     height, width = (-(-size // factor) * factor for size in plan.free.shape)
     pads = [(height - plan.free.shape[0], 0), (0, width - plan.free.shape[1])]
 
@@ -154,7 +154,7 @@ class Floor:
 
     @property
     def _above(self) -> float:
-        """How much higher than the plan the cells reach: they are whole from the lower edge on."""
+        """How much higher than the plan the cells reach, which begin at its lower edge."""
         return self.clearance_m.shape[0] - 2 - self.plan.free.shape[0] / self.factor
 
     def clearance_at(self, cells: Points) -> NDArray[np.float64]:

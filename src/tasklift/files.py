@@ -133,21 +133,34 @@ def output_file(path: PathLike, suffixes: Collection[str] = (), *, force: bool =
     return target
 
 
-def output_folder(path: PathLike, own: Sequence[str] = ()) -> Path:
+def output_folder(path: PathLike, own: Sequence[str] = (), parts: Sequence[str] = ()) -> Path:
     """Make the folder of a command's results, or recognise it: new, empty, or with one of the files ``own`` in it.
+
+    Parameters
+    ----------
+    path
+        Named by the user, or the command's default.
+    own
+        Names of files by which the command knows its own folder; without any, every folder will do.
+    parts
+        Folders to make in it: before the work, so that what stands in their way is found then.
 
     Raises
     ------
     TaskliftError
         If it cannot be made, or holds other things: nothing of the user's is overwritten.
     """
-    folder = Path(path)
+    folder = made = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         inside = [name for name in os.listdir(folder) if not name.startswith(".")]
+        if not own or not inside or any(name in inside for name in own):
+            for part in parts:
+                made = folder / part
+                made.mkdir(exist_ok=True)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise TaskliftError(f"{folder}: cannot be a folder of results ({reason}); choose another") from error
+        raise TaskliftError(f"{made}: cannot be a folder of results ({reason}); choose another") from error
     if inside and own and not any(name in inside for name in own):
         raise TaskliftError(
             f"{folder}: is not empty and holds no {' or '.join(own)}: not a folder of this command; choose another"

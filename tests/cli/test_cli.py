@@ -167,6 +167,57 @@ def test_impossible_requests_are_refused(tasklift, building, options, says):
     assert not Path("run").exists()
 
 
+#: Numbers that may be of any size: a seed is only a name, and who asks for all outputs gets all there are.
+ANY_SIZE = {"seed", "design", "top"}
+
+
+def commands(group=cli.cli, names=()):
+    """Every command with its words."""
+    for name in group.list_commands(None):
+        found = group.get_command(None, name)
+        yield from commands(found, (*names, name)) if hasattr(found, "commands") else [((*names, name), found)]
+
+
+def number_options():
+    for words, command in commands():
+        for option in command.params:
+            kind = type(option.type).__name__
+            if kind in ("IntRange", "Int", "IntParamType", "Numbers") and option.name not in ANY_SIZE:
+                yield pytest.param(words, option.opts[0], id=" ".join([*words, option.opts[0]]))
+
+
+@pytest.mark.parametrize(("words", "option"), list(number_options()))
+@pytest.mark.parametrize("number", [10**11, pytest.param(10**30, marks=pytest.mark.slow)])
+def test_numbers_too_large_for_the_machine_are_refused_at_once(tasklift, building, words, option, number):
+    arguments = {"train": [building], "team": [building], "watch": [building, "--html", "o.html"]}.get(words[0], [])
+    if words[0] == "certify":
+        Policy.equal(search_and_clear()).save("policy.json")
+        arguments = ["policy.json", "--building", building]
+    if words == ("map", "generate"):
+        arguments = ["-o", "o.json"]
+    if words[0] == "learn":
+        Path("s.toml").write_text((Path(__file__).parents[2] / "examples" / "building.toml").read_text())
+        arguments = ["s.toml", "--out", "run"]
+    before = set(Path().iterdir())
+    start = time.process_time()
+    code, _, err = tasklift(*words, *arguments, option, number)
+    assert (code, err.count("\n")) == (2, 1), err
+    assert time.process_time() - start < 10  # some seconds compile the simulator, where that was not done yet
+    assert set(Path().iterdir()) == before
+
+
+def test_what_is_in_the_way_of_figures_is_found_before_the_work(tasklift, building):
+    for name in ("figures", "policies"):
+        Path("run").mkdir(exist_ok=True)
+        (Path("run") / FILE_NAME).touch()
+        (Path("run") / name).write_text("mine")
+        code, _, err = tasklift("train", building, *SMALL, "--out", "run")
+        assert (code, err.count("\n")) == (2, 1), err
+        assert name in err
+        assert (Path("run") / name).read_text() == "mine"
+        (Path("run") / name).unlink()
+
+
 def test_a_folder_with_anything_else_is_left_alone(tasklift, building):
     Path("thesis").mkdir()
     Path("thesis/chapter1.txt").write_text("precious")

@@ -197,7 +197,7 @@ def in_a_stage(**budget) -> None:
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda: PolicySearch(population=1), "population: expected a whole number of at least 2"),
+        (lambda: PolicySearch(population=1), "population: expected a whole number from 2 to 10,000"),
         (lambda: PolicySearch(episodes=0), "episodes: expected a whole number of at least 1"),
         (lambda: PolicySearch(elite=0), "elite: expected a number above 0 up to 1"),
         (lambda: PolicySearch(rate=1.5), "rate: expected a number above 0 up to 1"),

@@ -90,7 +90,11 @@ def _defaults_from(context: click.Context, option: click.Parameter, file: Path |
 def running(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of every command that trains: where, and on how many cores."""
     for option in (
-        click.option("--workers", type=positive, help="Threads, or the size of a local Ray.  [default: one per core]"),
+        click.option(
+            "--workers",
+            type=click.IntRange(1, 4096),
+            help="Threads, or the size of a local Ray.  [default: one per core]",
+        ),
         click.option("--address", help="For Ray: a running cluster, such as auto or HOST:PORT."),
         click.option("--engine", type=click.Choice(["threads", "ray"]), default="threads", show_default=True),
         quiet,

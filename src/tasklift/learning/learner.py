@@ -14,12 +14,15 @@ from typing import Any, Protocol
 import numpy as np
 
 import tasklift
-from tasklift.checks import whole_number
+from tasklift.checks import LARGEST_WHOLE, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import TARGET_STAGE, Chances
 from tasklift.learning.worlds import Outcomes, Record, Steps, Trials, joined
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
+
+MOST_TRIALS = 10_000_000
+"""In a run: what came of them is in memory at the end."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +62,11 @@ class Run:
     def __post_init__(self) -> None:
         for name in ("seed", "stage", "first_trial"):
             whole_number(getattr(self, name), f"run, {name}", least=0)
-        for name, least in (("trials", 0), ("steps", 0), ("max_losses", 1)):
+        for name, least, most in (
+            ("trials", 0, MOST_TRIALS), ("steps", 0, LARGEST_WHOLE), ("max_losses", 1, LARGEST_WHOLE)
+        ):  # fmt: skip
             if getattr(self, name) is not None:
-                whole_number(getattr(self, name), f"run, {name}", least=least)
+                whole_number(getattr(self, name), f"run, {name}", least, most)
 
     def goes_on(self, trials: int, steps: int, losses: int) -> bool:
         """Return whether another trial may begin after this many trials, steps and losses."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, Chances
-from tasklift.learning.learner import Curve, Run, provenance
+from tasklift.learning.learner import MOST_TRIALS, Curve, Run, provenance
 from tasklift.learning.worlds import Outcomes, Record, StepOutcomes, Steps, Trials, View, joined, outcomes_of
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy, greedy_share
@@ -199,6 +199,7 @@ class Sweep:
         """Raise :class:`TaskliftError` for a stage that gives a sweep another budget than its own."""
         if run.trials is not None or run.steps is not None:
             raise TaskliftError("a sweep has its own budget; drop trials= and steps=")
+        whole_number(self.repeats, "sweep, repeats", 1, MOST_TRIALS // task.shape[1])
 
     def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
         """Learn from the sweep's trials, or from those of them that ``run`` names."""

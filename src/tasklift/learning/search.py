@@ -32,6 +32,10 @@ _AS_DRAWN = Reinforcement()
 """Outputs are drawn in proportion to weight."""
 
 
+MOST_CANDIDATES = 10_000
+"""In a generation: all their tables are in memory at once."""
+
+
 @dataclass(frozen=True)
 class PolicySearch:
     """Search for a policy by playing many and moving towards those that do best; a :class:`.Learner`.
@@ -92,7 +96,7 @@ class PolicySearch:
     divisible: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        whole_number(self.population, "policy search, population", least=2)
+        whole_number(self.population, "policy search, population", 2, MOST_CANDIDATES)
         whole_number(self.episodes, "policy search, episodes", least=1)
         for name, most in (("elite", 1.0), ("rate", 1.0), ("concentration", math.inf)):
             number(getattr(self, name), f"policy search, {name}", 0.0, most, above=True)

@@ -31,6 +31,7 @@ from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, output_file, read_bytes, read_document, write_atomically
 from tasklift.lab import FILE_NAME, Store
 from tasklift.learning.chances import CERTIFY_STAGE
+from tasklift.learning.learner import MOST_TRIALS
 from tasklift.plans.read import load_building
 from tasklift.tasks.policy import Policy
 
@@ -148,7 +149,7 @@ class Ground:
         TaskliftError
             For a policy of another task, and a number out of range.
         """
-        whole_number(episodes, "episodes", 1, 10**8)
+        whole_number(episodes, "episodes", 1, MOST_TRIALS)
         whole_number(seed, "seed")
         full = policy.extend(self.mission(min(self.hostiles), 0).task)
         content = hashlib.sha256(f"{seed} {canonical_json(full.task.to_json())} ".encode() + full.weights.tobytes())

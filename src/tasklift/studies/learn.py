@@ -28,6 +28,7 @@ from tasklift.learning.model import Model
 from tasklift.learning.worlds import Outcomes, StepOutcomes
 from tasklift.studies.own_code import OwnCode
 from tasklift.studies.spec_file import curriculum_of, read_spec
+from tasklift.studies.study import MOST_SEEDS
 from tasklift.tasks.policy import Policy
 
 CURRICULUM, DIRECT = "curriculum", "direct"
@@ -70,7 +71,7 @@ def run_spec(
     """
     document = read_spec(path)
     try:
-        chosen = whole_number(document.get("seeds", 20) if seeds is None else seeds, "seeds", 2, 1_000_000)
+        chosen = whole_number(document.get("seeds", 20) if seeds is None else seeds, "seeds", 2, MOST_SEEDS)
         study = SpecStudy(document, Path(path).parent, chosen, allow_imports)
         with _folder(out) as folder, Store.open(folder / FILE_NAME, study.spec()) as store:
             run(store, study.cells(), study.work, workers=study.workers, progress=progress)

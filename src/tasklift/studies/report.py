@@ -12,7 +12,7 @@ from typing import Any
 
 import tasklift
 from tasklift import stats
-from tasklift.files import write_atomically
+from tasklift.files import output_folder, write_atomically
 from tasklift.lab import FILE_NAME, Store
 from tasklift.report.charts import Series
 from tasklift.report.page import Report
@@ -38,7 +38,7 @@ def save_policies(study: Study, folder: Path, condition: str, building: str) -> 
     condition, building
         Names in the study.
     """
-    folder.mkdir(exist_ok=True)
+    output_folder(folder)
     paths = []
     for slug in study.slugs(building):
         if study.arms[slug].learns and slug != BEST.slug:

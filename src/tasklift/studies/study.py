@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,7 @@ from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec
 from tasklift.learning.chances import GREEDY_STAGE
 from tasklift.learning.curriculum import Curriculum, CurriculumRun
-from tasklift.learning.learner import InTurn, Learner, Run
+from tasklift.learning.learner import MOST_TRIALS, InTurn, Learner, Run
 from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
 from tasklift.learning.search import PolicySearch
 from tasklift.studies.arms import ARMS, BEST, PRACTICE, Arm, Setup, arms_named
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 GREEDY_TRIALS = 5
 GREEDY = Fixed(Reinforcement(selection="exploitation"))
 MIXED = Fixed(Reinforcement(selection="exploration"))
+#: More seeds or generated maps, or more cells of a study, would fill the memory before anything is trained.
+MOST_SEEDS, MOST_MAPS, MOST_CELLS = 100_000, 1_000, 1_000_000
 #: Worlds that are kept of a building. One is compiled in half a millisecond and takes 0.15 MB.
 WORLDS_KEPT = 200
 #: What the rows of a trial may hold.
@@ -201,17 +204,19 @@ class Study:
         TaskliftError
             As :class:`Study` does.
         """
-        whole_number(seeds, "seeds", 1)
+        numbers = tuple(numbered(seeds, "seeds"))
         given = [arm if isinstance(arm, Arm) else arms_named([arm])[0] for arm in arms]
         slugs = tuple(arm.slug for arm in given)
-        part = Part(slugs, tuple(conditions), tuple(buildings), tuple(range(seeds)))
+        part = Part(slugs, tuple(conditions), tuple(buildings), numbers)
         return cls(buildings, conditions, (part,), arms=ARMS | {arm.slug: arm for arm in given}, **options)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "team", parse_team(self.team))
-        whole_number(self.trials, "trials", 1)
-        whole_number(self.repeats, "repeats", 1)
-        whole_number(self.practice, "practice", 1)
+        for name in ("trials", "repeats", "practice"):
+            whole_number(getattr(self, name), name, 1, MOST_TRIALS)
+        cells = sum(prod(map(len, (p.arms, p.conditions, p.maps, p.seeds))) for p in self.parts)
+        if cells > MOST_CELLS:
+            raise TaskliftError(f"asks for {cells:,} cells; at most {MOST_CELLS:,}: ask for fewer seeds, maps or arms")
         for part in self.parts:
             for name in part.maps:
                 one_of(name, list(self.buildings), "maps")
@@ -561,6 +566,22 @@ def move_weights(policy: Policy) -> NDArray[np.float64]:
 def ca_weights(source: Policy) -> NDArray[np.float64]:
     """Return Figure 3's curve, float64 (11,): V's mean weight by CA where robots move, over all else."""
     return source.weights.reshape(15, 2, 2, 11)[:, 1].mean(axis=(0, 1))
+
+
+def numbered(count: int, what: str, first: int = 0) -> range:
+    """Return that many numbers from ``first`` on.
+
+    Parameters
+    ----------
+    count, what
+        How many of what: ``seeds``, or another word for maps.
+
+    Raises
+    ------
+    TaskliftError
+        If they are fewer than one, or too many to make.
+    """
+    return range(first, first + whole_number(count, what, 1, MOST_SEEDS if what == "seeds" else MOST_MAPS))
 
 
 def generated(seeds: Sequence[int], **options: Any) -> dict[str, Building]:

@@ -18,6 +18,7 @@ from tasklift.files import output_folder
 from tasklift.lab import FILE_NAME, Cell, CellResult, Progress, Spec, Store, run
 from tasklift.learning.chances import CHOICE_STAGE
 from tasklift.learning.curriculum import Curriculum
+from tasklift.learning.learner import MOST_TRIALS
 from tasklift.plans.read import load_building
 from tasklift.report import pictures
 from tasklift.report.page import Report
@@ -26,6 +27,7 @@ from tasklift.studies.arms import Setup, expert, searching
 
 #: Episodes of practice per team, and fresh episodes by which a team's policies are judged.
 PRACTICE, JUDGED = 12_000, 500
+MOST_TEAMS = 400
 
 
 def team(
@@ -79,8 +81,10 @@ def team(
     """
     place = load_building(building)
     number(ready, "ready", 0.0, 1.0, above=True)
-    whole_number(practice, "practice", 400)
+    whole_number(practice, "practice", 400, MOST_TRIALS)
     reading = replace(PRESETS[one_of(preset, list(PRESETS), "preset")], relocate=True)
+    if len(scouts) * len(weapons) > MOST_TEAMS:
+        raise TaskliftError(f"team: asks for {len(scouts) * len(weapons):,} teams; at most {MOST_TEAMS}")
     missions = {
         f"{s}+{w}": Mission(place, f"{s}+{w}", hostiles, reading, weapons_needed, limit)
         for s in sorted(set(scouts))
@@ -92,7 +96,8 @@ def team(
     settings = {"building": place.content_id, "hostiles": hostiles, "weapons_needed": weapons_needed, "limit": limit,
                 "preset": preset, "practice": practice, "judged": JUDGED}  # fmt: skip
     spec = Spec.of(f"teams for {place.name}", settings, {"team": list(missions)}, over=("team",))
-    folder = output_folder(out if out is not None else Path("runs") / f"{building.stem}-team", (FILE_NAME,))
+    usual = Path("runs") / f"{building.stem}-team"
+    folder = output_folder(usual if out is None else out, (FILE_NAME,), ("figures",))
 
     def work(cell: Cell) -> CellResult:
         return CellResult({}, judged(missions[cell["team"]], practice), {})
@@ -108,7 +113,6 @@ def team(
         verdict = _verdict(rows, ready)
         page = Report(f"Teams for {place.name}")
         page.verdict(verdict)
-        (folder / "figures").mkdir(exist_ok=True)
         picture, _ = pictures.save(_figure(rows, ready), folder / "figures", "teams")
         page.figure(picture, "Share of episodes solved, by the number of weapon robots.")
         page.table(HEADERS, rows, caption=f"{JUDGED} fresh episodes each, hostiles placed afresh")

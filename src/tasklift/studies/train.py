@@ -134,7 +134,8 @@ def train(
     arms = study.slugs(building.stem)
     if not any(study.arms[slug].learns for slug in arms):
         raise TaskliftError("arms: none of those named learns; add search, direct or copy-prior")
-    folder = output_folder(out if out is not None else Path("runs") / building.stem, (FILE_NAME,))
+    usual = Path("runs") / building.stem
+    folder = output_folder(usual if out is None else out, (FILE_NAME,), ("figures", "policies"))
     with Store.open(folder / FILE_NAME, study.spec(f"training on {building.name}")) as store:
         run(store, study.cells(), study.work, progress=progress, **engine)
         export(folder, folder / "rows.csv")
@@ -223,7 +224,6 @@ def frontier(found: Sequence[Candidate], ready: float) -> list[Candidate]:
 
 def _save_points(found: Sequence[Candidate], ready: float, folder: Path) -> None:
     """Save the best policy of every arm, and the points of the frontier."""
-    folder.mkdir(exist_ok=True)
     for arm in {c.arm.slug: c.arm for c in found}.values():
         chosen([c for c in found if c.arm is arm]).policy.save(folder / f"{arm.slug}.json")
     for k, point in enumerate(frontier(found, ready), start=1):
@@ -330,7 +330,6 @@ def _report(
 ) -> Report:
     page = Report(f"Training on {mission.building.name}")
     page.verdict(*lines)
-    (folder / "figures").mkdir(exist_ok=True)
     picture, _ = pictures.save(frontier_figure(found, ready), folder / "figures", "frontier")
     page.figure(picture, "Speed against safety: every policy learned, larger where it solves more. Each point of the "
                 "frontier is a file in `policies/`.")  # fmt: skip

@@ -436,8 +436,7 @@ def drills(
         _report(says, tables, plan, picture, store, command).write(folder / "report.html")
     if page is not None:
         paste(text, page)
-        (page.parent / "pictures").mkdir(exist_ok=True)
-        pictures.save(drawn, page.parent / "pictures", "drills")
+        pictures.save(drawn, output_folder(page.parent / "pictures"), "drills")
     return says, folder / "report.html"
 
 

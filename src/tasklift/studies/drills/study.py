@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tasklift.studies.arms import AMOUNTS, COUNTED, SELECTIONS, SPENT_BEFORE, STARTS, TRAVERSALS, VARIANTS
-from tasklift.studies.study import Condition, Part, Record, Study, generated
+from tasklift.studies.study import Condition, Part, Record, Study, generated, numbered
 
 #: Doors per building: with 5 hostiles there is still one behind which nobody waits (`generate` gives 4 by default).
 DOORS = 6
@@ -70,10 +70,11 @@ def study(*, maps: int, seeds: int, hostiles: Sequence[int]) -> Study:
     hostiles
         Numbers of hostiles; other numbers of drills and other starts are tried with 1 and 3 of them.
     """
-    own, few = generated(range(maps), doors=DOORS), tuple(range(max(1, seeds // 10)))
+    every = tuple(numbered(seeds, "seeds"))
+    own, few = generated(numbered(maps, "maps"), doors=DOORS), every[: max(1, seeds // 10)]
     names, numbers = tuple(own), tuple(str(h) for h in hostiles)
     parts = [
-        Part(main_arms("q90"), numbers, names, tuple(range(seeds))),
+        Part(main_arms("q90"), numbers, names, every),
         Part(main_arms("exploitation"), numbers, names, few),
     ]
     further = tuple(str(h) for h in FURTHER_HOSTILES if h in hostiles)
@@ -86,6 +87,6 @@ def study(*, maps: int, seeds: int, hostiles: Sequence[int]) -> Study:
 def choosing(maps: int = 4, seeds: int = 4) -> Study:
     """Return the study that decides between the variants: on maps and seeds that are in no result."""
     conditions = {str(h): Condition(hostiles=h) for h in FURTHER_HOSTILES}
-    own = generated(range(103, 103 + maps), doors=DOORS)
-    part = Part(variants(), tuple(conditions), tuple(own), tuple(range(seeds)))
+    own = generated(numbered(maps, "maps", 103), doors=DOORS)
+    part = Part(variants(), tuple(conditions), tuple(own), tuple(numbered(seeds, "seeds")))
     return Study(own, conditions, (part,), axis="hostiles", trials=COUNTED, record=RECORD)

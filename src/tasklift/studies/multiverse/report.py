@@ -33,7 +33,7 @@ from tasklift.studies.multiverse.study import (
 )
 from tasklift.studies.report import add_settings, write_csv
 from tasklift.studies.samples import Floats
-from tasklift.studies.study import Study, generated
+from tasklift.studies.study import Study, generated, numbered
 from tasklift.style import GROUND, SERIES
 
 if TYPE_CHECKING:
@@ -77,9 +77,11 @@ def multiverse(
     progress, engine
         As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
     """
+    buildings = generated(numbered(maps, "maps"))
+    numbered(seeds, "seeds")  # before the design, which takes a while
     levels = draw(readings, design)
-    plan = study(generated(range(maps)), levels, seeds=seeds, trials=trials)
-    folder = output_folder(out, (FILE_NAME,))
+    plan = study(buildings, levels, seeds=seeds, trials=trials)
+    folder = output_folder(out, (FILE_NAME,), ("figures",))
     with Store.open(folder / FILE_NAME, plan.spec("multiverse of readings")) as store:
         run(store, plan.cells(), plan.work, progress=progress, **engine)
         judged = judge(store, levels, progress=progress)
@@ -93,8 +95,7 @@ def write_report(plan: Study, judged: Judged, folder: Path, store: Store, comman
     write_effects({"balance of verdicts": effects,
                    "effect in standard errors": main_effects(judged.effect, judged.levels)},
                   folder / "effects.csv")  # fmt: skip
-    pictures = folder / "figures"
-    pictures.mkdir(exist_ok=True)
+    pictures = output_folder(folder / "figures")
     drawn = {
         "multiverse": save(draw_multiverse(judged, effects), pictures, "multiverse")[1],
         "rules": save(draw_rules(judged), pictures, "selection-rules")[1],

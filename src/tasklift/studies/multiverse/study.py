@@ -24,7 +24,7 @@ from tasklift.lab import Progress, Store
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.claims import CLAIMS, evaluate
 from tasklift.studies.samples import Coverage, Floats, Sample
-from tasklift.studies.study import Condition, Part, Record, Study
+from tasklift.studies.study import Condition, Part, Record, Study, numbered
 
 Level = bool | int | float | str
 
@@ -91,6 +91,8 @@ ARMS = ("direct", *INDIRECT)
 EXPLOITING = tuple(f"{arm}-exploitation" for arm in INDIRECT)
 #: Per trial, the store keeps what the claims read; the rest of a cell can be computed again.
 RECORD = Record(columns=("steps", "success", "losses", "teams_left"), stages=("target",))
+#: Each is a condition: 500 of them take minutes.
+MOST_READINGS = 10_000
 
 
 def draw(n: int, seed: int = 0) -> NDArray[np.int64]:
@@ -114,7 +116,7 @@ def draw(n: int, seed: int = 0) -> NDArray[np.int64]:
     """
     from scipy.stats import qmc
 
-    whole_number(n, "readings", 2)
+    whole_number(n, "readings", 2, MOST_READINGS)
     points = qmc.LatinHypercube(len(OPTIONS), optimization="random-cd", seed=seed).random(n)
     ranks = points.argsort(axis=0).argsort(axis=0)
     return np.asarray(ranks * np.array([len(option.levels) for option in OPTIONS]) // n, dtype=np.int64)
@@ -150,7 +152,7 @@ def study(buildings: Mapping[str, Building], levels: NDArray[np.int64], *, seeds
             (*ARMS, *EXPLOITING) if explores else ARMS,
             tuple(name for name, one in zip(conditions, exploring, strict=True) if one is explores),
             tuple(buildings),
-            tuple(range(seeds)),
+            tuple(numbered(seeds, "seeds")),
         )
         for explores in (True, False)
     )

@@ -11,7 +11,6 @@ import numpy as np
 from tasklift.building.graph import INTERSECTION, Building
 from tasklift.building.reading import PRESETS
 from tasklift.building.search import hostile_candidates
-from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import output_folder
 from tasklift.lab import FILE_NAME, Progress, Store, run
@@ -25,7 +24,7 @@ from tasklift.studies.paper import best, figures
 from tasklift.studies.paper import survey as surveys_of
 from tasklift.studies.paper.survey import Survey
 from tasklift.studies.samples import Sample
-from tasklift.studies.study import GREEDY_TRIALS, Part, Study, generated
+from tasklift.studies.study import GREEDY_TRIALS, Part, Study, generated, numbered
 
 #: The seed of the first map on which nothing is learned; a study's own maps begin at 0.
 FIRST_UNSEEN = 5000
@@ -50,26 +49,25 @@ def study(*, maps: int, seeds: int, trials: int, arms: Sequence[str], survey: in
     TaskliftError
         For numbers below 1, unknown arms, or arms without the ones that they are judged against.
     """
-    for name, value in (("maps", maps), ("seeds", seeds)):
-        whole_number(value, name, 1)
+    seen, numbers = numbered(maps, "maps"), tuple(numbered(seeds, "seeds"))
     judged = [arm for arm in arms_named(arms) if arm.against]
     if not judged:
         raise TaskliftError("arms: the claims are about indirect learning, and no such arm is named; add copy")
     for arm in judged:
         if arm.against[0] not in arms:
             raise TaskliftError(f"arms: {arm.slug!r} is judged against {arm.against[0]!r}; name that as well")
-    own, surveyed = generated(range(maps)), surveys_of.surveyed(survey)
+    own, surveyed = generated(seen), surveys_of.surveyed(survey)
     return Study(
         own | surveyed,
         surveys_of.conditions(),
         (
-            Part(tuple(arms), tuple(PRESETS), tuple(own), tuple(range(seeds))),
+            Part(tuple(arms), tuple(PRESETS), tuple(own), numbers),
             best.part(list(own)),
             *surveys_of.parts(list(surveyed)),
         ),
         trials=trials,
         practice=practice,
-        unseen=generated(range(FIRST_UNSEEN, FIRST_UNSEEN + maps)),
+        unseen=generated(numbered(maps, "maps", FIRST_UNSEEN)),
     )
 
 
@@ -112,7 +110,7 @@ def reproduce(
     """
     plan = study(maps=maps, seeds=seeds, trials=trials, arms=arms, survey=survey, practice=practice)
     first = plan.parts[0]
-    folder = output_folder(out, (FILE_NAME,))
+    folder = output_folder(out, (FILE_NAME,), ("figures", "policies"))
     with Store.open(folder / FILE_NAME, plan.spec("the paper's experiment")) as store:
         run(store, plan.cells(), plan.work, progress=progress, **engine)
         more = surveys_of.further(plan, surveys_of.read(store, plan))
@@ -152,7 +150,6 @@ def reproduce(
 
 
 def _draw(folder: Path, building: Building, samples: Samples, survey: Survey) -> dict[str, Path]:
-    folder.mkdir(exist_ok=True)
     node, goal = crossing(building)
     drawn = {
         "figure1": figures.figure1(building),

@@ -26,7 +26,7 @@ from tasklift.stats import Interval, compare, holm
 from tasklift.studies.arms import SOURCE
 from tasklift.studies.claims import NO_TREND, on_maps
 from tasklift.studies.samples import SLOPE, Coverage
-from tasklift.studies.study import Condition, Part, Study, generated
+from tasklift.studies.study import Condition, Part, Study, generated, numbered
 
 #: The survey's maps are generated from this seed on. The properties below were devised on the maps 1000 to
 #: 1059 and a study's own maps begin at 0: what the survey says of either it says on maps not seen before.
@@ -266,7 +266,7 @@ def surveyed(maps: int) -> dict[str, Building]:
     TaskliftError
         For fewer than one.
     """
-    return generated(range(FIRST_MAP_SEED, FIRST_MAP_SEED + whole_number(maps, "survey", 1)))
+    return generated(numbered(maps, "survey", FIRST_MAP_SEED))
 
 
 def conditions() -> dict[str, Condition]:

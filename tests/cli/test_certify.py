@@ -10,6 +10,8 @@ import pytest
 from tasklift.building import Mission, generate
 from tasklift.cli import main as cli
 from tasklift.tasks.policy import Policy
+from tasklift.tasks.task import Task
+from tasklift.tasks.variable import Variable
 
 
 @pytest.fixture
@@ -19,6 +21,8 @@ def tasklift(monkeypatch, capsys, tmp_path):
     place = generate(5, 5, 2, 5, seed=1)
     place.save("building.json")
     Policy.equal(Mission(place, "2+3").task).save("policy.json")
+    generate(5, 5, 2, 0, seed=1).save("bare.json")
+    Policy.equal(Task("other", (Variable("A", (0, 1)),), (Variable("B", (0, 1)),))).save("other.json")
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["tasklift", "certify", *map(str, arguments)])
@@ -56,7 +60,10 @@ def test_certifies_on_fresh_buildings(tasklift):
     [
         ([], "expected a policy"),
         (["policy.json", "--team", "2+1"], "no team could ever succeed"),
+        (["other.json", "--team", "2+3"], "neither equal to nor a simplification of"),
+        (["policy.json", "--building", "bare.json", "--team", "2+3"], "has 0 place(s) for them"),
         (["policy.json", "--team", "2+3", "--confidence", "1"], "above 0 and below 1"),
+        (["policy.json", "--team", "2+3", "--confidence", "-0.5"], "above 0 and below 1"),
         (["policy.json", "--team", "2+3", "--episodes", "0"], "whole number from 1"),
         (["policy.json", "--team", "2+3", "--hostiles", "40"], "asked for 40"),
         (["policy.json", "--team", "2+3", "--hostiles", "3-1"], "such as 1-5"),

@@ -15,6 +15,7 @@ def tasklift(monkeypatch, capsys, tmp_path):
     """Run the command in a folder with a building; return (exit code, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
     generate(5, 5, 2, 5, seed=1).save("house.json")
+    generate(5, 5, 2, 0, seed=1).save("bare.json")
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["tasklift", "team", *map(str, arguments)])
@@ -43,6 +44,7 @@ def test_prints_a_table_and_the_smallest_team(tasklift):
     ("arguments", "message"),
     [
         (["nowhere.json"], "nowhere.json: cannot be read"),
+        (["bare.json"], "has 0 place(s) for them"),
         (["house.json", "--weapons", "1"], "a hostile needs 2 weapon robots"),
         (["house.json", "--weapons", "a"], "such as 1-5"),
         (["house.json", "--ready", "2"], "ready: expected a number above 0 up to 1"),
@@ -55,4 +57,4 @@ def test_a_mistake_is_one_line_and_exit_code_2(tasklift, tmp_path, arguments, me
     assert (code, out) == (2, "")
     assert message in err
     assert err.count("\n") == 1
-    assert [p.name for p in tmp_path.iterdir()] == ["house.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.json", "house.json"]

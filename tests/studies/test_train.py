@@ -11,7 +11,7 @@ from tasklift.learning.chances import CHOICE_STAGE
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.arms import ARMS, EXPERTS, expert
 from tasklift.studies.readiness import advice, diagnose, end_of, larger
-from tasklift.studies.train import Candidate, chosen, frontier, train
+from tasklift.studies.train import Candidate, _handed_over, chosen, frontier, train
 from tasklift.tasks.policy import Policy
 
 HOUSE = generate(9, 11, 3, 6, seed=5)
@@ -67,6 +67,15 @@ def test_says_that_none_is_ready_and_a_team_that_would_do(tmp_path) -> None:
     team = lines[2].split()[4].rstrip(";")
     lines, _ = train(**options, team=team, out=tmp_path / "better")
     assert lines[0].startswith("ready: ")
+
+
+def test_the_certificate_has_the_last_word(tmp_path) -> None:
+    HOUSE.save(tmp_path / "building.json")
+    still = Policy(task := Mission(HOUSE, "4+3").task, task.where({"MV": 0}).astype(float))
+    lucky = Candidate(ARMS["search"], 0, still, 1.0, 0.0, 100.0)
+    best, made = _handed_over(lucky, 0.95, tmp_path, {"team": "4+3"})
+    assert made is None
+    assert (best.solved, best.lost, best.steps) == (0.0, 0.0, 600.0)
 
 
 def test_waiting_one_by_one_is_recognised_in_a_trace() -> None:

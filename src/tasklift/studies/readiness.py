@@ -15,6 +15,7 @@ from tasklift.lab import Progress
 from tasklift.learning.chances import CHOICE_STAGE
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.arms import expert
+from tasklift.studies.certify import share_bounds
 from tasklift.tasks.policy import Policy
 
 #: Failed episodes that are looked at.
@@ -94,7 +95,10 @@ def diagnose(mission: Mission, policy: Policy) -> list[str]:
 
 
 def advice(mission: Mission, ready: float, progress: Progress | None = None) -> list[str]:
-    """Say which team, or which limit, would do: found by trying the hand-written reference, which needs no training."""
+    """Say which team, or which limit, would do: found by trying the hand-written reference, which needs no training.
+
+    A team does if its episodes say so with 99 % confidence. Otherwise training with it might find none ready again.
+    """
     lines, needed = [], least_steps(mission)
     if needed > mission.limit:
         lines.append(f"no policy can: the building needs at least {needed} steps, the limit is {mission.limit}")
@@ -106,7 +110,7 @@ def advice(mission: Mission, ready: float, progress: Progress | None = None) -> 
         if larger_one.evaluate(policy, TRIED, stage=CHOICE_STAGE, seed=1).success.mean() < ready:
             continue
         solved = larger_one.evaluate(policy, CONFIRMED, stage=CHOICE_STAGE, seed=2).success.mean()
-        if solved >= ready:
+        if solved == 1.0 or share_bounds(round(solved * CONFIRMED), CONFIRMED, 0.99)[0] >= ready:
             if progress is not None:
                 progress(len(tries), len(tries), "trying larger teams")
             limit = f" --limit {larger_one.limit}" if larger_one.limit != mission.limit else ""

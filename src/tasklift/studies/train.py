@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -148,8 +148,9 @@ def train(
         _save_points(found, ready, folder / "policies")
         asked = {"team": team, "hostiles": (hostiles,), "weapons_needed": weapons_needed, "limit": limit}
         best = chosen(found)
-        if best.solved >= ready:
-            lines = [_handed_over(best, mission, price[best.arm.slug], folder, asked | {"preset": preset})]
+        best, made = _handed_over(best, ready, folder, asked | {"preset": preset})
+        if made is not None:
+            lines = [headline(made, best, mission, price[best.arm.slug])]
         else:
             lines = _not_ready(best, mission, ready, folder, progress)
         lines += comparison(found, samples, price, best)
@@ -160,13 +161,21 @@ def train(
     return lines, path
 
 
-def _handed_over(best: Candidate, mission: Mission, price: Price, folder: Path, asked: dict[str, Any]) -> str:
-    """Write the policy and its certificate; return the headline."""
+def _handed_over(
+    best: Candidate, ready: float, folder: Path, asked: dict[str, Any]
+) -> tuple[Candidate, Certified | None]:
+    """Write the policy and its certificate, if it is ready; return them. The certificate has the last word."""
+    if best.solved < ready:
+        return best, None
     best.policy.save(folder / "policy.json")
     made = certify(
         folder / "policy.json", building=folder / "building.json", out=folder / "certificate.json", force=True, **asked
     )
-    return headline(made, best, mission, price)
+    counts = made.counts
+    if counts.solved >= ready * counts.episodes:
+        return best, made
+    n = counts.episodes
+    return replace(best, solved=counts.solved / n, lost=counts.lost / n, steps=counts.steps / n), None
 
 
 def _not_ready(best: Candidate, mission: Mission, ready: float, folder: Path, progress: Progress | None) -> list[str]:

@@ -218,6 +218,24 @@ def test_what_is_in_the_way_of_figures_is_found_before_the_work(tasklift, buildi
         (Path("run") / name).unlink()
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("words", [["--help"], ["map", "check", "house.json"], ["runs", "list", "."]])
+def test_an_output_that_takes_nothing_ends_in_one_line(building, words):
+    """A full disk is said; a reader that went away is not; with standard output closed, there is nothing to say."""
+    command, where = [sys.executable, "-m", "tasklift", *words], building.parent
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, cwd=where, stdout=full, stderr=subprocess.PIPE, text=True)
+        assert (done.returncode, done.stderr) == (2, "tasklift: the output: No space left on device\n")
+        assert subprocess.run(command, cwd=where, stdout=full, stderr=full).returncode == 2
+    reads, writes = os.pipe()
+    os.close(reads)
+    done = subprocess.run(command, cwd=where, stdout=writes, stderr=subprocess.PIPE, text=True)
+    os.close(writes)
+    assert (done.returncode, done.stderr) == (1, "")
+    closed = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], cwd=where, stderr=subprocess.PIPE, text=True)
+    assert (closed.returncode, closed.stderr) == (0, "")
+
+
 def test_a_folder_with_anything_else_is_left_alone(tasklift, building):
     Path("thesis").mkdir()
     Path("thesis/chapter1.txt").write_text("precious")

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import io
+import os
 import signal
 import sys
+from contextlib import suppress
 from importlib import import_module
+from typing import NoReturn
 
 import click
 
@@ -80,17 +84,36 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     try:
         cli.main(standalone_mode=False)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # what cannot be written is found here, not while Python ends
     except TaskliftError as error:
-        click.echo(one_line(f"tasklift: {error}"), err=True)
-        sys.exit(2)
+        _end(f"{error}", 2)
     except click.exceptions.NoArgsIsHelpError as error:
-        error.show()
+        with suppress(OSError):
+            error.show()
         sys.exit(2)
     except click.ClickException as error:
-        click.echo(one_line(f"tasklift: {error.format_message()}"), err=True)
-        sys.exit(2)
+        _end(error.format_message(), 2)
     except (KeyboardInterrupt, click.Abort) as stop:
         # click turns the interrupt into Abort; its cause may say how to resume
-        reason = str(stop.__cause__ or stop) or "stopped; the same command goes on from there"
-        click.echo(f"tasklift: {reason}", err=True)
-        sys.exit(130)
+        _end(str(stop.__cause__ or stop) or "stopped; the same command goes on from there", 130)
+    except MemoryError:
+        _end("the memory is full; ask for less at once, such as fewer seeds or episodes", 2)
+    except OSError as error:  # of files that commands write or read, it has become a TaskliftError
+        if error.errno == errno.EPIPE:
+            _end("", 1)  # whoever read the output wants no more of it
+        place = "the output" if error.filename is None else error.filename
+        _end(f"{place}: {error.strerror or error}", 2)
+
+
+def _end(reason: str, code: int) -> NoReturn:
+    """Say in one line why the command ends, where it can be said."""
+    if reason:
+        with suppress(OSError):
+            click.echo(one_line(f"tasklift: {reason}"), err=True)
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:  # a full disk, or a closed pipe: Python would try again at its end, and say so
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)

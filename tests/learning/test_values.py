@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasklift.errors import TaskliftError
+from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.model import Model
 from tasklift.learning.reinforcement import Reinforcement, StepTrials, reinforce, sweep
+from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning, evaluate, learn_values
 from tasklift.learning.worlds import Step
 from tasklift.tasks import choice as rules
@@ -284,3 +286,74 @@ def test_a_world_outside_of_the_task_is_refused() -> None:
 def test_mistakes_are_named(call, message: str) -> None:
     with pytest.raises(TaskliftError, match=message):
         call(random_model(0))
+
+
+class Ring:
+    """Places in a ring; going round gives 1, the last place is a loss."""
+
+    task = Task("ring", (Variable("place", range(4)),), (Variable("go", ("on", "stay")),))
+    limit = 8
+    breaks = None
+    begun = 0
+
+    def start(self, rng):
+        self.place, self.begun = 0, self.begun + 1
+        return 0
+
+    def step(self, output):
+        if self.begun == self.breaks:
+            raise RuntimeError("the simulator fell over")
+        self.place = (self.place + (output == 0)) % 4
+        return Step(self.place, 1.0, ended=False, lost=int(self.place == 3))
+
+
+def test_a_penalty_per_loss_teaches_to_stay() -> None:
+    for penalty, best in ((0.0, None), (10.0, 1)):
+        learner = ValueLearning(epsilon=0.3, loss_penalty=penalty, discount=0.5)
+        learned = learn_values(Ring(), trials=200, learning=learner)
+        assert learned.outcomes.returns.tolist() == [8.0] * 200
+        if best is not None:
+            assert learned.policy.best()[2] == best
+    with pytest.raises(TaskliftError, match="loss_penalty"):
+        ValueLearning(loss_penalty=-1.0)
+
+
+def test_a_callback_sees_each_trial_and_stops_early() -> None:
+    told = []
+
+    def callback(episode) -> bool:
+        told.append(episode)
+        return episode.trial == 6
+
+    curve = learn_values(Ring(), trials=50, callback=callback)
+    assert len(curve.outcomes) == len(told) == 7
+    assert [e.steps for e in told] == curve.outcomes.steps.tolist()
+    assert np.array_equal(curve.policy.weights, learn_values(Ring(), trials=7).policy.weights)
+    with pytest.raises(ValueError, match="read-only"):
+        told[0].values[0, 0] = 1.0
+    with pytest.raises(TaskliftError, match="callback: expected a function"):
+        learn_values(Ring(), trials=1, callback="checkpoint")
+
+
+def test_what_was_learned_before_a_crash_is_kept() -> None:
+    world = Ring()
+    world.breaks = 6
+    with pytest.raises(RuntimeError, match="fell over") as crash:
+        learn_values(world, trials=50)
+    assert np.array_equal(crash.value.curve.policy.weights, learn_values(Ring(), trials=5).policy.weights)
+    assert len(crash.value.curve.outcomes) == 5
+
+
+def test_an_output_that_was_left_out_has_no_visits() -> None:
+    full = Task("full", (Variable("here", (0,)),), (Variable("move", range(3)),))
+    simple = full.simplify(restrict={"move": (0, 1)})
+    learner = ValueLearning()
+    policy = learner.start(simple)
+    policy = replace(policy, carried={"visits": np.array([[3.0, 5.0]]), "epsilon": 0.1})
+    assert policy.extend(full).carried["visits"].tolist() == [[3.0, 5.0, 0.0]]
+
+
+def test_reinforcement_refuses_where_nothing_can_be_learned() -> None:
+    with pytest.raises(TaskliftError, match="nothing can be learned"):
+        Curriculum([Stage("only", Ring.task, Ring(), Reinforcement(), trials=20)]).check()
+    Curriculum([Stage("only", Ring.task, Ring(), Reinforcement(loss_signal=-1.0), trials=20)]).check()

@@ -206,7 +206,7 @@ def beside(tmp_path: Path, text: str, module: str | None = None) -> Path:
 
 def test_a_learner_of_ones_own_from_a_python_file(tmp_path: Path) -> None:
     text = f'{OWN}python = "own_learner:RandomSearch"\nsize = 0.5\n{STAGE}'
-    last = '[[stages]]\nname = "b"\ntrials = 30\nlearner = { rule = "reinforcement", q = 0.5 }\n'
+    last = '[[stages]]\nname = "b"\ntrials = 30\nlearner = { rule = "reinforcement", q = 0.5, loss_signal = -0.5 }\n'
     curriculum = curriculum_of(read_spec(beside(tmp_path, text + last)), tmp_path)
     one, other = (stage.learner for stage in curriculum.stages)
     assert (type(one).__name__, one.size) == ("RandomSearch", 0.5)

@@ -364,7 +364,7 @@ class _Collector:
             steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
             there = here if answer.ended else self._number(answer.input)
             self.steps.append((here, output, answer.reward, there, answer.ended))
-            if answer.ended or steps >= self.world.limit:
+            if answer.ended or answer.cut or steps >= self.world.limit:
                 self.records.append((steps, answer.success, losses, total))
                 return
             here = there

@@ -73,20 +73,31 @@ class Run:
         limits = ((self.trials, trials), (self.steps, steps), (self.max_losses, losses))
         return all(limit is None or done < limit for limit, done in limits)
 
-    def play(self, trial: Callable[[np.random.Generator], Record]) -> list[Record]:
+    def play(
+        self,
+        trial: Callable[[np.random.Generator], Record],
+        records: list[Record] | None = None,
+        stop: Callable[[Record], bool] | None = None,
+    ) -> list[Record]:
         """Run a function for each trial until the budget is used, and return what it recorded.
 
         Parameters
         ----------
         trial
             Runs one trial with the generator of that trial; returns its steps, success, losses and return.
+        records
+            An empty list to record in, for whoever wants what was done before an error.
+        stop
+            Asked after each trial; True ends the run before its budget is used.
         """
-        records: list[Record] = []
+        records = [] if records is None else records
         chances = Chances(self.seed, self.stage)
         steps = losses = 0
         while self.goes_on(len(records), steps, losses):
             records.append(trial(chances.of(self.first_trial + len(records))))
             steps, losses = steps + records[-1][0], losses + records[-1][2]
+            if stop is not None and stop(records[-1]):
+                break
         return records
 
     def after(self, trials: int, steps: int, losses: int) -> Run:

@@ -6,7 +6,7 @@ probability 0); ``S`` inputs of the task. Several states may look the same, so N
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,6 +19,7 @@ from tasklift.errors import TaskliftError
 from tasklift.learning.worlds import Step, stray_input
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
+from tasklift.text import shown
 
 Floats = NDArray[np.float64]
 
@@ -76,6 +77,79 @@ class Model:
     success: NDArray[np.bool_]
     limit: int
 
+    @classmethod
+    def from_function(
+        cls,
+        task: Task,
+        transitions: Callable[[dict[str, Any], dict[str, Any]], Sequence[Sequence[Any]]],
+        start: Mapping[str, Any] | Sequence[tuple[float, Mapping[str, Any]]],
+        limit: int,
+    ) -> Model:
+        """Return the model whose states are the task's inputs, from a function of a state and an output.
+
+        Parameters
+        ----------
+        task
+            Whose inputs are the states.
+        transitions
+            ``(state, output)``, both by name → the branches, each ``(probability, next state, reward, ended)``, then
+            how much is lost (default 0), and whether it is a success (default: ended without a loss). Asked once for
+            every input and output.
+        start
+            The first state; or pairs of a probability and a state.
+        limit
+            The most steps of a trial.
+
+        Raises
+        ------
+        TaskliftError
+            For a state that is no input of the task, a branch without its four entries, and whatever the class refuses.
+
+        Examples
+        --------
+        >>> from tasklift import Model, Task, Variable
+        >>> task = Task("walk", (Variable("place", range(5)),), (Variable("go", (-1, 1)),))
+        >>> def walk(state, output):
+        ...     there = max(0, state["place"] + output["go"])
+        ...     return [(0.9, {"place": min(there, 4)}, -1.0, there >= 4), (0.1, state, -1.0, False)]
+        >>> model = Model.from_function(task, walk, start={"place": 0}, limit=50)
+        >>> round(model.optimum(), 4)
+        -4.4444
+        """
+        n, outputs = task.shape
+        task.need_room(n * outputs, "the model")
+        told: list[list[list[Any]]] = []
+        for s in range(n):
+            told.append([])
+            for a in range(outputs):
+                state, output = task.input_values(s), task.output_values(a)
+                branches = [list(branch) for branch in transitions(dict(state), output)]
+                if not branches or not all(4 <= len(branch) <= 6 for branch in branches):
+                    raise TaskliftError(
+                        f"model of {task.name!r}, {state}, {output}: expected branches (probability, next state, "
+                        f"reward, ended), found {shown(branches)}"
+                    )
+                told[-1].append([[p, task.input_index(to), *rest] for p, to, *rest in branches])
+        shape = (n, outputs, max(len(branches) for row in told for branches in row))
+        arrays: dict[str, NDArray[Any]] = {name: np.zeros(shape) for name in ("probability", "reward")}
+        arrays |= {name: np.zeros(shape, np.int64) for name in ("after", "lost")}
+        arrays |= {name: np.zeros(shape, np.bool_) for name in ("ended", "success")}
+        for s, row in enumerate(told):
+            for a, branches in enumerate(row):
+                for k, (p, to, reward, ended, *rest) in enumerate(branches):
+                    lost = rest[0] if rest else 0
+                    success = rest[1] if len(rest) == 2 else bool(ended) and not lost
+                    for name, value in zip(
+                        ("probability", "after", "reward", "ended", "lost", "success"),
+                        (p, to, reward, ended, lost, success),
+                        strict=True,
+                    ):
+                        arrays[name][s, a, k] = value
+        begins = np.zeros(n)
+        for p, begin in [(1.0, start)] if isinstance(start, Mapping) else start:
+            begins[task.input_index(begin)] += p
+        return cls(task, np.arange(n), begins, limit=limit, **arrays)
+
     def __post_init__(self) -> None:
         n, outputs = len(self.rows), self.task.shape[1]
         where = f"model of {self.task.name!r}"
@@ -87,6 +161,8 @@ class Model:
             raise TaskliftError(f"{where}: the probabilities of a transition, or of the start, do not sum to one")
         if self.after.min() < 0 or self.after.max() >= n:
             raise TaskliftError(f"{where}: a transition leads to a state that is not among the {n}")
+        if not np.isfinite(self.reward).all():
+            raise TaskliftError(f"{where}: a reward is no finite number")
         if self.rows.min() < 0 or self.rows.max() >= self.task.shape[0]:
             raise TaskliftError(f"{where}: a state has an input outside of the task's {self.task.shape[0]}")
         object.__setattr__(self, "_state", {"now": -1, "rng": None})
@@ -135,7 +211,7 @@ class Model:
         )
 
     def compiled_trial(
-        self, task: Task, values: Floats, visits: Floats, settings: tuple[int, float, float, float, float]
+        self, task: Task, values: Floats, visits: Floats, settings: tuple[int, float, float, float, float, float]
     ) -> Callable[[np.random.Generator, float, bool], tuple[int, bool, int, float]]:
         """Return a function that runs one compiled trial of value learning on ``values``, float64 (S, A)."""
         from tasklift.learning import model_kernel

@@ -117,6 +117,12 @@ class Reinforcement:
             raise TaskliftError("has no budget; give trials= or steps=")
         if run.steps is not None and self.time_signal == "baseline":
             raise TaskliftError("the baseline time signal needs the mean of a run's trials; give trials=, not steps=")
+        timed = task.time_reward != 0 and self.time_signal != "none"
+        if isinstance(world, Steps) and not (timed or self.loss_signal or task.signal_table().any()):
+            raise TaskliftError(
+                f"nothing can be learned: task {task.name!r} has no signal and no time_reward, and reinforcement does "
+                "not use the world's rewards; learn by value (learner=ValueLearning()), or declare signals"
+            )
 
     def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
         """Learn trial after trial, outputs chosen by weight; see :class:`.Learner`.
@@ -480,8 +486,8 @@ class _Trial:
         """Run the trial; ``usual_steps`` is the mean of those before, or below 0."""
         row = self.view.row(self.world.start(rng))
         steps, losses, total = 0, 0, 0.0
-        ended = success = False
-        while not ended and steps < self.world.limit:
+        ended = cut = success = False
+        while not (ended or cut) and steps < self.world.limit:
             coin, u = rng.random(), rng.random()
             column = rules.select(self.weights[row], self.greedy, coin, u) if self.fixed is None else self.fixed
             first = (row, column) not in self.used
@@ -492,7 +498,7 @@ class _Trial:
             steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
             if answer.lost and not self.to_all:
                 self._signal(row, column, self.settings.loss_signal * answer.lost)
-            ended, success = answer.ended, answer.success
+            ended, cut, success = answer.ended, answer.cut, answer.success
             if not ended:
                 row = self.view.row(answer.input)
         # a failed trial must not look fast to the time signal, however early it ended

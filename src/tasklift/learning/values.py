@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args, get_type_hints
+from math import isfinite
+from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,31 @@ from tasklift.learning.learner import Curve, Run, provenance
 from tasklift.learning.model import Model
 from tasklift.learning.reinforcement import Fixed
 from tasklift.learning.worlds import Outcomes, Record, Steps, Trials, View, outcomes_of
-from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import plain_number
+from tasklift.text import shown
+
+
+class Episode(NamedTuple):
+    """One trial of a run by value, as a callback sees it.
+
+    Attributes
+    ----------
+    trial
+        Its number within the stage, from 0.
+    steps, success, losses, returns
+        What came of it.
+    values
+        float64 (S, A): the values after it, −inf where an output is impossible. Read-only, and they go on changing.
+    """
+
+    trial: int
+    steps: int
+    success: bool
+    losses: int
+    returns: float
+    values: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -50,6 +72,8 @@ class ValueLearning:
         its lower bound.
     temperature
         Above 0: softmax in place of greedy choice.
+    loss_penalty
+        What each loss takes from the reward that is learned from; returns are reported without it.
     initial_value
         Of every pair; one above what can be reached makes an optimistic start.
 
@@ -84,6 +108,7 @@ class ValueLearning:
     epsilon_decay: float = 1.0
     epsilon_least: float = 0.0
     temperature: float = 0.0
+    loss_penalty: float = 0.0
     initial_value: float = 0.0
 
     def __post_init__(self) -> None:
@@ -99,6 +124,7 @@ class ValueLearning:
             ("epsilon_decay", 0.0, 1.0),
             ("epsilon_least", 0.0, 1.0),
             ("temperature", 0.0, float("inf")),
+            ("loss_penalty", 0.0, float("inf")),
             ("initial_value", -float("inf"), float("inf")),
         ):
             number = plain_number(getattr(self, name), f"value learning, {name}")
@@ -121,14 +147,27 @@ class ValueLearning:
             raise TaskliftError("the world runs whole trials only; a learner by value must meet it by steps")
         if run.trials is None and run.steps is None:
             raise TaskliftError("has no budget; give trials= or steps=")
+        stuck = task.impossible_table().all(axis=1)
+        if stuck.any():
+            raise TaskliftError(
+                f"task {task.name!r}: all outputs are impossible at {task.input_values(int(stuck.argmax()))}; "
+                "a learner by value never chooses what is impossible"
+            )
 
-    def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
+    def learn(
+        self, world: Trials | Steps, policy: Policy, run: Run, *, callback: Callable[[Episode], object] | None = None
+    ) -> Curve:
         """Learn trial after trial; see :class:`.Learner`. The outcomes are :class:`.StepOutcomes`.
+
+        Outputs that the task declares impossible, or the world (``possible``), are never chosen. If anything is raised
+        on the way, the exception has what was learned until then as its attribute ``curve``.
 
         Parameters
         ----------
         world
             A :class:`~tasklift.learning.model.Model` runs compiled; any other world runs at the speed of Python.
+        callback
+            Called after each trial with an :class:`Episode`; the run stops early where it returns True.
 
         Raises
         ------
@@ -139,10 +178,15 @@ class ValueLearning:
         assert isinstance(world, Steps)
         if policy.kind != "value":
             raise TaskliftError("expected a policy of values, found one of weights; start from scratch")
+        if callback is not None and not callable(callback):
+            raise TaskliftError(f"callback: expected a function of an Episode, found {shown(callback)}")
         carried = self.carried(policy.task) | dict(policy.carried)
-        values, visits = policy.weights.copy(), np.array(carried["visits"])
+        values, visits = _without_impossible(policy), np.array(carried["visits"])
         epsilon = float(carried["epsilon"])
         one_trial = _trial_of(world, policy.task, values, visits, self)
+        records: list[Record] = []
+        watched = values.view()
+        watched.flags.writeable = False
 
         def trial(rng: np.random.Generator) -> Record:
             nonlocal epsilon
@@ -150,10 +194,23 @@ class ValueLearning:
             epsilon = max(self.epsilon_least, epsilon * self.epsilon_decay)
             return record
 
-        outcomes = outcomes_of(run.play(trial), world.limit)
-        history = provenance(self.rule, self, policy, run, outcomes)
-        kept = carried | {"visits": visits, "epsilon": epsilon}
-        return Curve(replace(policy, weights=values, provenance=history, carried=kept), outcomes)
+        def stop(record: Record) -> bool:
+            number = run.first_trial + len(records) - 1
+            return callback is not None and callback(Episode(number, *record, watched)) is True
+
+        def curve() -> Curve:
+            outcomes = outcomes_of(records, world.limit)
+            history = provenance(self.rule, self, policy, run, outcomes)
+            kept = carried | {"visits": visits.copy(), "epsilon": epsilon}
+            learned = np.where(np.isneginf(values), policy.weights, values)
+            return Curve(replace(policy, weights=learned, provenance=history, carried=kept), outcomes)
+
+        try:
+            run.play(trial, records, stop)
+        except BaseException as error:
+            error.curve = curve()  # type: ignore[attr-defined]
+            raise
+        return curve()
 
     def count_as(self, policy: Policy, trust: float) -> Policy:
         """Return the policy with ``trust`` visits in place of those of each entry that was ever visited.
@@ -175,6 +232,7 @@ def learn_values(
     *,
     task: Task | None = None,
     learning: ValueLearning = ValueLearning(),
+    callback: Callable[[Episode], object] | None = None,
     **run: Any,
 ) -> Curve:
     """Learn values, from a given policy or from scratch: the short form of :class:`ValueLearning` with a run.
@@ -189,6 +247,8 @@ def learn_values(
         What to learn when there is no policy: the world's task (the default), or a simplification of it.
     learning
         The learner.
+    callback
+        Called after each trial with an :class:`Episode`; True stops the run early.
     **run
         The fields of :class:`.Run`: ``trials`` or ``steps`` or both, ``seed``, ``stage``, ``first_trial``,
         ``max_losses``.
@@ -219,7 +279,7 @@ def learn_values(
     >>> curve.policy.best()[:4].tolist()
     [1, 1, 1, 1]
     """
-    return learning.learn(world, policy or learning.start(task or world.task), Run(**run))
+    return learning.learn(world, policy or learning.start(task or world.task), Run(**run), callback=callback)
 
 
 def evaluate(
@@ -269,7 +329,7 @@ def evaluate(
         if epsilon:
             raise TaskliftError(f"evaluate, epsilon: a world of whole trials has no random outputs, found {epsilon}")
         return Fixed().learn(world, policy, asked).outcomes
-    values, visits = policy.weights.copy(), np.zeros(policy.task.shape)
+    values, visits = _without_impossible(policy), np.zeros(policy.task.shape)
     one_trial = _trial_of(world, policy.task, values, visits, ValueLearning())
     return outcomes_of(asked.play(lambda rng: one_trial(rng, epsilon, False)), world.limit)
 
@@ -284,15 +344,33 @@ def _trial_of(
     """Return the function that runs one trial: compiled where the world is an explicit model."""
     rule = ("q-learning", "sarsa", "expected-sarsa").index(learning.rule)
     step_size, power = float(learning.step_size), float(learning.step_power)
-    settings = (rule, step_size, power, float(learning.discount), float(learning.temperature))
+    settings = (
+        rule, step_size, power, float(learning.discount), float(learning.temperature), float(learning.loss_penalty)
+    )  # fmt: skip
     if isinstance(world, Model):
         return world.compiled_trial(task, values, visits, settings)
     view = View(world, task)
 
     def trial(rng: np.random.Generator, epsilon: float, learn: bool) -> Record:
-        return _trial(world, view, values, visits, learning, rng, epsilon, learn)
+        return _trial(world, view, values, visits, settings, rng, epsilon, learn)
 
     return trial
+
+
+def _without_impossible(policy: Policy) -> NDArray[np.float64]:
+    """Return a copy of the weights, −inf where an output is impossible: that is never chosen, nor learned from."""
+    return np.where(policy.task.impossible_table(), -np.inf, policy.weights)
+
+
+def _possible(world: Steps, view: View, everything: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which of the task's outputs the world says are possible now, bool (a,)."""
+    found = getattr(world, "possible", None)
+    if found is None:
+        return everything
+    here = np.asarray(found, np.bool_)[view.columns]
+    if not here.any():
+        raise TaskliftError(f"task {view.task.name!r}: the world says that all its outputs are impossible now")
+    return here
 
 
 def _trial(
@@ -300,42 +378,37 @@ def _trial(
     view: View,
     values: NDArray[np.float64],
     visits: NDArray[np.float64],
-    learning: ValueLearning,
+    settings: tuple[int, float, float, float, float, float],
     rng: np.random.Generator,
     epsilon: float,
     learn: bool,
 ) -> Record:
-    """Run one trial; the same steps, in the same order, as ``model_kernel.trial``, which is compiled."""
-    likely = np.empty(values.shape[1])
-    sarsa = learn and learning.rule == "sarsa"
+    """Run one trial; the same steps, in the same order, as ``model_kernel.trial``, which is compiled as a whole."""
+    from tasklift.learning.model_kernel import choose, follow
 
-    def choose(row: int) -> int:
-        rules.probabilities(values[row], epsilon, learning.temperature, likely)
-        return rules.draw(likely, rng.random())
-
+    everything = np.ones(values.shape[1], np.bool_)
+    seen, likely = np.empty(values.shape[1]), np.empty(values.shape[1])
+    sarsa = learn and settings[0] == 1
+    limit, columns = world.limit, view.columns
     row = view.row(world.start(rng))
-    column = choose(row)
+    possible = _possible(world, view, everything)
+    column = choose(values, row, possible, settings, epsilon, rng.random(), seen, likely)
     steps, losses, total = 0, 0, 0.0
     while True:
-        answer = world.step(view.columns[column])
-        steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
-        after, then, target = -1, -1, answer.reward
-        if not answer.ended:
+        _, reward, ended, lost, success, cut = answer = world.step(columns[column])
+        if not isfinite(reward):
+            raise TaskliftError(f"step {steps + 1}: the world gave the reward {reward}; expected a finite number")
+        steps, losses, total = steps + 1, losses + lost, total + reward
+        last = ended or cut or steps >= limit
+        after = -1
+        if not ended:
             after = view.row(answer.input)
-            if sarsa:
-                then = choose(after)
-                target += learning.discount * values[after, then]
-            elif learning.rule == "q-learning":
-                target += learning.discount * values[after].max()
-            else:
-                rules.probabilities(values[after], epsilon, learning.temperature, likely)
-                target += learning.discount * sum(c * v for c, v in zip(likely, values[after], strict=True))
-        if learn:
-            visits[row, column] += 1
-            size = rules.step_size(visits[row, column], learning.step_size, learning.step_power)
-            values[row, column] += size * (target - values[row, column])
-        if answer.ended or steps >= world.limit:
-            return steps, answer.success, losses, total
-        if not sarsa:
-            then = choose(after)
-        row, column = after, then
+            possible = _possible(world, view, everything)
+        u = rng.random() if not last or (sarsa and not ended) else 0.0
+        column = follow(
+            values, visits, settings, row, column, float(reward), int(lost), after, last,
+            possible, epsilon, u, learn, seen, likely,
+        )  # fmt: skip
+        if last:
+            return steps, success, losses, total
+        row = after

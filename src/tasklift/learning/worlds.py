@@ -254,7 +254,7 @@ class Step(NamedTuple):
     Attributes
     ----------
     input
-        The next input, an index of the world's task.
+        The next input, an index of the world's task; not looked at if the trial has ended.
     reward
         Of this step; reinforcement of weights does not use it.
     ended
@@ -263,6 +263,9 @@ class Step(NamedTuple):
         How much this step lost (fell, crashed, destroyed), as the user counts it.
     success
         Whether the trial has succeeded.
+    cut
+        Whether the world cuts the trial off here, though it has not ended: learners take the next input's value for
+        what would have come.
     """
 
     input: int
@@ -270,11 +273,15 @@ class Step(NamedTuple):
     ended: bool
     lost: int = 0
     success: bool = False
+    cut: bool = False
 
 
 @runtime_checkable
 class Steps(Protocol):
     """A world that is met step by step; :func:`tasklift.testing.check_world` tests one.
+
+    An optional attribute ``possible``, bool (A,) or None, says which outputs are possible at the present input, beside
+    what the task says; learners by value choose among them.
 
     Examples
     --------

@@ -337,24 +337,36 @@ def _gymnasium(environment: Mapping[str, Any], task: Task, code: OwnCode) -> Any
         code.module(module, "environment")
     env = make_environment(name, data["options"])
     judges = {name: _judge(data[name], task, name) for name in ("loss", "success") if name in data}
-    world = Factored(env, task, limit=data.get("limit"), **judges)
-    return world.model() if world.has_model else world
+    world = Factored(env, task, limit=data.get("limit"), mask=None, **judges)
+    try:
+        return world.model() if world.has_model else world
+    except TaskliftError:  # its table of transitions is not all of it: then the environment itself, step by step
+        return world
 
 
 def _judge(condition: Mapping[str, Any], task: Task, what: str) -> Any:
     """Return the function that tells whether an event meets a condition of the spec.
 
-    The condition names ``reward``, ``terminated``, input variables (their value after the step) or outputs.
+    The condition names ``reward``, ``terminated``, ``truncated``, input variables (their value after the step)
+    or outputs.
     """
-    names = {"reward", "terminated"} | {v.name for v in task.variables}
+    inputs = {v.name for v in task.inputs}
+    names = {"reward", "terminated", "truncated"} | {v.name for v in task.variables}
     for name in condition:
         if name not in names:
             raise TaskliftError(f"environment, {what}: unknown {name!r}; conditions are on {', '.join(sorted(names))}")
     allowed = {name: value if isinstance(value, list) else [value] for name, value in condition.items()}
 
     def judge(event: Event) -> bool:
-        seen: dict[str, Any] = {"reward": event.reward, "terminated": event.terminated}
-        seen |= task.input_values(event.input) | task.output_values(event.output)
+        seen: dict[str, Any] = {name: getattr(event, name) for name in ("reward", "terminated", "truncated")}
+        seen |= task.output_values(event.output)
+        if inputs & set(allowed):
+            try:
+                seen |= task.input_values(event.input)
+            except TaskliftError:  # what comes back at the end may be no input of the task
+                if not event.terminated:
+                    raise
+                return False
         return all(seen[name] in values for name, values in allowed.items())
 
     return judge

@@ -7,7 +7,7 @@ weights are finite and not negative, and ``u`` and ``coin`` lie in [0, 1).
 """
 
 # No `from __future__` and no annotations on purpose: this file is compiled as it stands.
-from math import exp
+from math import exp, inf
 
 
 def total(weights, n):  # type: ignore[no-untyped-def]
@@ -121,13 +121,17 @@ def probabilities(values, epsilon, temperature, out):  # type: ignore[no-untyped
     """Fill ``out`` with the probability of each index under ε-greedy (temperature 0) or softmax choice, by value.
 
     A share ``epsilon`` is even over all; the rest goes to the largest values, evenly among equal ones, or,
-    with a temperature above 0, in proportion to exp(value / temperature).
+    with a temperature above 0, in proportion to exp(value / temperature). A value of −inf is never chosen; one
+    at least must be more.
     """
     n = len(values)
     most = values[0]
+    possible = 0
     for i in range(n):
         if values[i] > most:
             most = values[i]
+        if values[i] > -inf:
+            possible += 1
     added = 0.0
     for i in range(n):
         if temperature > 0.0:
@@ -136,7 +140,7 @@ def probabilities(values, epsilon, temperature, out):  # type: ignore[no-untyped
             out[i] = 1.0 if values[i] == most else 0.0
         added += out[i]
     for i in range(n):
-        out[i] = (1.0 - epsilon) * out[i] / added + epsilon / n
+        out[i] = (1.0 - epsilon) * out[i] / added + (epsilon / possible if values[i] > -inf else 0.0)
 
 
 def step_size(visits, least, power):  # type: ignore[no-untyped-def]

@@ -293,7 +293,8 @@ class Policy:
 
         The weights are copied to every value put back, of inputs and of outputs. A variable that had been
         restricted to several of its values gives a returned value the mean over those. What the learner
-        carries is extended in the same way; then the priors change the weights, in order.
+        carries is extended in the same way, but for ``visits``: an output that was left out was never tried, and has
+        none. Then the priors change the weights, in order.
 
         Parameters
         ----------
@@ -330,6 +331,8 @@ class Policy:
             name: _put_back(value, self.task, ancestor) if isinstance(value, np.ndarray) else value
             for name, value in self.carried.items()
         }
+        if "visits" in carried:
+            carried["visits"] = np.where(_tried(self.task, ancestor), carried["visits"], 0.0)
         return Policy(task, weights, provenance, self.kind, carried)
 
     # -- files ---------------------------------------------------------------------------------------------
@@ -445,6 +448,13 @@ def _put_back(table: Weights, task: Task, ancestor: Task) -> Weights:
     """Extend a table of ``task`` to an ancestor: copies, or means over the values that a restriction kept."""
     taller = spread(table, task.inputs, ancestor.inputs, task.kept_positions(ancestor), axis=0)
     return spread(taller, task.outputs, ancestor.outputs, task.kept_positions(ancestor), axis=1)
+
+
+def _tried(task: Task, ancestor: Task) -> NDArray[np.bool_]:
+    """Return which outputs of an ancestor a learner of ``task`` could try, bool (A of the ancestor,)."""
+    tried = np.zeros(ancestor.shape[1], dtype=np.bool_)
+    tried[task.output_columns(ancestor)] = True
+    return tried
 
 
 def spread(

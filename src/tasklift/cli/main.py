@@ -40,6 +40,7 @@ _ELSEWHERE = {
     "policy": ("tasklift.cli.policy", "policy_group", "Show and export what was learned."),
     "reproduce": ("tasklift.cli.experiments", "reproduce", "Reproduce the paper: figures, claims, report.html."),
     "runs": ("tasklift.cli.runs", "runs_group", "List, show, compare and export experiments."),
+    "simplify": ("tasklift.cli.simplify", "simplify_command", "Say which simpler task to learn first."),
     "team": ("tasklift.cli.team", "team_command", "Say which team a building needs."),
     "train": ("tasklift.cli.experiments", "train", "Learn on your own building: the best policy there is, certified."),
     "watch": ("tasklift.cli.watch", "watch_command", "Replay trials in the browser."),

@@ -85,6 +85,7 @@ def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:
             "max_losses?": int,
             "block?": int,
             "best_by?": list,
+            "simplify?": dict,
         },
     )
     if document.get("performance", "return") not in ("return", "steps", "success"):

@@ -85,7 +85,7 @@ def test_mistakes_are_refused_before_anything_is_trained(tmp_path: Path, change:
     text = (EXAMPLES / "simplify-lake.toml").read_text()
     assert change[0] in text
     (tmp_path / "spec.toml").write_text(text.replace(*change))
-    with pytest.raises(TaskliftError, match="spec.toml") as refused:
+    with pytest.raises(TaskliftError, match=r"spec\.toml") as refused:
         simplify(tmp_path / "spec.toml", tmp_path / "out")
     assert says in str(refused.value)
     assert not (tmp_path / "out").exists()

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,12 +19,13 @@ from PIL import Image
 from plans_measure import read_graph
 from test_plans_readers import pgm, two_rooms, write_map
 
+import tasklift
 from tasklift.building.generate import generate
 from tasklift.building.graph import BEND, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
 from tasklift.cli.plans import map_group
 from tasklift.errors import TaskliftError
 from tasklift.plans.check import check, node_lines
-from tasklift.plans.edits import HEADER, apply_edits, parse_edits, read_edits
+from tasklift.plans.edits import HEADER, STRAIGHT, apply_edits, parse_edits, read_edits
 from tasklift.plans.exporting import export
 from tasklift.plans.importing import import_map, read_plan
 from tasklift.plans.overlay import LARGEST_PICTURE, draw_overlay
@@ -258,3 +264,104 @@ def test_a_large_picture_keeps_its_thin_walls(tmp_path: Path) -> None:
     drawn = np.asarray(Image.open(tmp_path / "large.png").convert("L"))
     wall = (drawn < 100).mean(axis=1) > 0.05  # rows in which a wall is drawn
     assert wall[drawn.shape[0] // 3 : drawn.shape[0] // 2 + 50].any()
+
+
+def test_nodes_can_be_named_by_number_and_are_kept_as_places() -> None:
+    """Numbers are those of the building before the edits, also after some of its nodes are gone."""
+    by_number = edited("drop node 2", "merge nodes 3 and 4", "set class node 1 to bend", "add edge from 0 to 3")
+    by_place = edited("drop node at 10 0", "merge nodes at 15 0 and 10 4", "set class at 5 0 to bend",
+                      "add edge from 0 0 to 15 0")  # fmt: skip
+    assert by_number == by_place
+    assert by_number.provenance["edits"][0] == "drop node at 10.000 0.000"
+    again = apply_edits(ladder(), parse_edits("\n".join([HEADER, *by_number.provenance["edits"]])))[0]
+    assert again == by_number
+    with pytest.raises(TaskliftError, match="node 99 does not exist; nodes are 0 to 4"):
+        edited("drop node 99")
+
+
+def test_rooms_and_nodes_can_be_added() -> None:
+    room = "add room at 12 3 area 12.8 obstacles 2 to 12 0.2"
+    building = edited(room, "add node at 7 -2 to 5 0", "add node at 2 0.1")
+    assert building.n_nodes == 9
+    room = int(np.flatnonzero(building.area_m2 == 12.8)[0])
+    assert (building.kind[room], building.obstacles[room]) == (ROOM, 2)
+    (way,) = building.neighbour[building.indptr[room] : building.indptr[room + 1]].tolist()
+    assert building.position_m[way].tolist() == [12, 0]
+    assert building.kind[way] == INTERSECTION
+    assert building.length_m.sum() == pytest.approx(ladder().length_m.sum() + 3 + np.hypot(2, 2))
+    alone = edited("add room at 20 0 area 9")
+    assert alone.degree[5] == 1
+    assert alone.neighbour[alone.indptr[5]] == 3
+
+
+def test_corridors_keep_their_course() -> None:
+    bent = replace(ladder(), course_m=(STRAIGHT, np.array([[5.0, 2.0], [10.0, 2.0]]), *[STRAIGHT] * 3))
+    one = edited("add door at 7 2", building=bent)
+    door = int(np.flatnonzero(one.feature_class == DOOR)[0])
+    lines = [one.line_m(e).tolist() for e in range(one.n_edges) if door in one.edges[e]]
+    assert lines == [[[5, 0], [5, 2], [7, 2]], [[10, 0], [10, 2], [7, 2]]]
+    back = edited("drop node at 7 2", building=one)
+    assert shapely.equals(shapely.LineString(back.line_m(1)).simplify(0), shapely.LineString(bent.line_m(1)))
+    assert back.length_m.sum() == pytest.approx(bent.length_m.sum())
+
+
+def test_all_bad_lines_are_reported_and_nothing_is_written(tmp_path: Path) -> None:
+    ladder().save(tmp_path / "a.json")
+    (tmp_path / "a.edits").write_text(f"{HEADER}\ndrop node 99\nadd door at 2 0\ndrop node at 50 50\nstart at 5 0\n")
+    run = subprocess.run(
+        [sys.executable, "-m", "tasklift", "map", "edit", "a.json", "a.edits", "-o", "b.json"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(Path(tasklift.__file__).parents[1])},
+    )  # fmt: skip
+    assert run.returncode == 2
+    assert [line.split(":")[2] for line in run.stderr.splitlines()] == [" line 2", " line 4"]
+    assert not (tmp_path / "b.json").exists()
+    with pytest.raises(TaskliftError, match="line 2") as caught:
+        parse_edits(f"{HEADER}\nnonsense\ndrop node\n")
+    assert "line 3" in caught.value.__notes__[0]
+
+
+def test_a_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path: Path) -> None:
+    (tmp_path / "a.edits").write_bytes(b"\xef\xbb\xbf" + HEADER.encode() + b"\r\ndrop node 2\r\n")
+    assert apply_edits(ladder(), read_edits(tmp_path / "a.edits"))[0].n_nodes == 4
+
+
+def test_places_can_be_written_and_apply_to_another_import(tmp_path: Path) -> None:
+    ladder().save(tmp_path / "a.json")
+    (tmp_path / "a.edits").write_text(f"{HEADER}\ndrop node 2\nadd room at 12 3 area 5 to node 4\n")
+    run = CliRunner().invoke(
+        map_group,
+        [
+            "edit", str(tmp_path / "a.json"), str(tmp_path / "a.edits"), "-o", str(tmp_path / "b.json"),
+            "--places", str(tmp_path / "kept.edits"),
+        ],
+    )  # fmt: skip
+    assert run.exit_code == 0, run.output
+    assert "node 2" not in (tmp_path / "kept.edits").read_text()
+    again, _ = apply_edits(ladder(), read_edits(tmp_path / "kept.edits"))
+    assert again == Building.load(tmp_path / "b.json")
+
+
+def gray(path: Path) -> np.ndarray:
+    with Image.open(path) as image:
+        return np.asarray(image.convert("L"), float)
+
+
+def test_the_plan_lies_beneath_pictures_of_an_imported_building(tmp_path: Path) -> None:
+    export(generate(seed=7), tmp_path / "seven.yaml")
+    building, _ = import_map(tmp_path / "seven.yaml", tmp_path / "seven.json", tmp_path / "with.png")
+    draw_overlay(Building.load(tmp_path / "seven.json"), tmp_path / "kept.png")
+    draw_overlay(replace(building, provenance={}), tmp_path / "sketch.png")
+    pictures = [gray(tmp_path / f"{name}.png") for name in ("with", "kept", "sketch")]
+    assert pictures[0].shape == pictures[1].shape
+    assert np.abs(pictures[0] - pictures[1]).mean() < 1.0
+    assert pictures[2].shape != pictures[0].shape or np.abs(pictures[0] - pictures[2]).mean() > 5.0
+
+
+def test_pictures_grow_with_the_number_of_nodes_and_keep_their_legend(tmp_path: Path) -> None:
+    draw_overlay(ladder(), tmp_path / "small.svg")
+    text = (tmp_path / "small.svg").read_text()
+    for word in ("room (1)", "junction (2)", "bend (1)", "other feature (1)", "start"):
+        assert word in text
+    draw_overlay(generate(150, 170, 100, 50, seed=1), tmp_path / "large.png")
+    assert max(gray(tmp_path / "large.png").shape) > 2500

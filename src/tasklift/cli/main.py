@@ -88,7 +88,7 @@ def main() -> None:
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be written is found here, not while Python ends
     except TaskliftError as error:
-        _end(f"{error}", 2)
+        _end("\n".join([str(error), *getattr(error, "__notes__", ())]), 2)
     except click.exceptions.NoArgsIsHelpError as error:
         with suppress(OSError):
             error.show()
@@ -111,7 +111,8 @@ def _end(reason: str, code: int) -> NoReturn:
     """Say in one line why the command ends, where it can be said."""
     if reason:
         with suppress(OSError):
-            click.echo(one_line(f"tasklift: {reason}"), err=True)
+            for line in reason.splitlines():
+                click.echo(one_line(f"tasklift: {line}"), err=True)
     try:
         if sys.stdout is not None:
             sys.stdout.flush()

@@ -116,7 +116,7 @@ def formats_command() -> None:
 @map_group.command("show")
 @click.argument("building", type=_file)
 @click.option("-o", "--out", type=_file, help="The picture, .png or .svg.  [default: BUILDING with -shown.png]")
-@click.option("--plan", type=_file, help="The map to draw it on; else its own sketch.")
+@click.option("--plan", type=_file, help="The map to draw it on.  [default: the plan in BUILDING, or a sketch]")
 @click.option("--level", help="The level of the plan.")
 @click.option("--allow-outside", is_flag=True, help="Follow a picture's path out of the YAML file's folder.")
 @_force
@@ -156,19 +156,26 @@ def check_command(building: Path, nodes: bool) -> None:
 @click.argument("edits", type=_file)
 @click.option("-o", "--out", type=_file, required=True, help="The corrected building to write.")
 @click.option("--overlay", type=_file, help="A picture of it to write, .png or .svg.")
+@click.option("--places", type=_file, help="The edits to write with places for the numbers of nodes.")
 @_force
-def edit_command(building: Path, edits: Path, out: Path, overlay: Path | None, force: bool) -> None:
-    """Apply a file of corrections: drop, merge, move nodes, add doors and edges, set classes."""
-    from tasklift.files import output_file
-    from tasklift.plans.edits import apply_edits, read_edits
+def edit_command(
+    building: Path, edits: Path, out: Path, overlay: Path | None, places: Path | None, force: bool
+) -> None:
+    """Apply a file of corrections: drop, merge, move nodes, add rooms, doors, edges, set classes."""
+    from tasklift.files import output_file, write_atomically
+    from tasklift.plans.edits import HEADER, apply_edits, as_places, read_edits
     from tasklift.plans.overlay import ENDINGS, draw_overlay
     from tasklift.plans.read import load_building
 
     output_file(out, (".json",), force=force, reads=[building, edits])
-    if overlay is not None:
-        output_file(overlay, ENDINGS, force=force, reads=[building, edits])
-    corrected, remarks = apply_edits(load_building(building), read_edits(edits))
+    for target, endings in ((overlay, ENDINGS), (places, ())):
+        if target is not None:
+            output_file(target, endings, force=force, reads=[building, edits])
+    loaded, corrections = load_building(building), read_edits(edits)
+    corrected, remarks = apply_edits(loaded, corrections)
     corrected.save(out)
+    if places is not None:
+        write_atomically(places, "\n".join([HEADER, *as_places(loaded, corrections)]) + "\n")
     if overlay is not None:
         draw_overlay(corrected, overlay)
     click.echo(repr(corrected))

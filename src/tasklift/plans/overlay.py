@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, OTHER, ROOM, Building
 from tasklift.files import output_file, write_atomically
+from tasklift.plans.floor import unpack
 from tasklift.plans.plan import Plan
 from tasklift.style import GROUND, SCENE, SERIES
 
@@ -29,7 +30,9 @@ _SIGNS: tuple[tuple[str, int, int | None, str, str, float], ...] = (
     ("corner", FEATURE, CORNER, "v", _COLOURS["turn"], 0.95),
     ("other feature", FEATURE, OTHER, "X", _COLOURS["other"], 0.95),
 )
-LONGEST_SIDE_INCHES = 16.0
+# The longest side grows with the number of nodes, so that their numbers can be read
+LONGEST_SIDE_INCHES, MOST_INCHES = 16.0, 40.0
+LEGEND_INCHES, LEGEND_ROW_INCHES = 5.5, 0.3
 PIXELS_PER_INCH = 100
 LARGEST_PICTURE = 2000
 ENDINGS = (".png", ".svg")
@@ -45,7 +48,7 @@ def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | 
     path
         The picture: ``.png`` or ``.svg``.
     plan
-        What to draw on. ``None``: a floor plan sketched from the building itself.
+        What to draw on. ``None``: the plan in the building's file, or else one sketched from the building.
     """
     import io
 
@@ -53,11 +56,14 @@ def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | 
     from matplotlib.figure import Figure
 
     suffix = output_file(path, ENDINGS, force=True).suffix.lower()
+    plan = plan or unpack(building)
     low, high = _bounds(building, plan)
     width, height = high - low
-    scale = LONGEST_SIDE_INCHES / max(width, height + 0.05 * max(width, height))
-    figure = Figure(figsize=(max(4.0, width * scale), max(3.0, height * scale + 0.6)), dpi=PIXELS_PER_INCH)
-    axes = figure.add_axes((0.005, 0.04, 0.99, 0.955))
+    scale = _inches(building) / max(width, height)
+    inches = max(LEGEND_INCHES, width * scale), max(2.0, height * scale) + 2 * LEGEND_ROW_INCHES
+    figure = Figure(figsize=inches, dpi=PIXELS_PER_INCH)
+    legend = 2 * LEGEND_ROW_INCHES / inches[1]
+    axes = figure.add_axes((0.005, legend, 0.99, 0.995 - legend))
     if plan is None:
         from tasklift.building.draw import draw_plan
 
@@ -75,6 +81,10 @@ def draw_overlay(building: Building, path: str | os.PathLike[str], plan: Plan | 
         metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
         figure.savefig(buffer, format=suffix[1:], metadata=metadata)
     write_atomically(path, buffer.getvalue())
+
+
+def _inches(building: Building) -> float:
+    return float(np.clip(1.6 * np.sqrt(building.n_nodes), LONGEST_SIDE_INCHES, MOST_INCHES))
 
 
 def _bounds(building: Building, plan: Plan | None) -> tuple[np.ndarray, np.ndarray]:
@@ -127,9 +137,8 @@ def _draw_graph(axes: Any, building: Building, scale: float) -> None:
     position = building.position_m
     # signs about as large as half a metre, but never too small to tell apart or too large for the plan
     size = float(np.clip(0.55 * scale * 72, 4.0, 9.0))
-    axes.add_collection(
-        LineCollection(list(position[building.edges]), colors=SERIES["sky"][0], linewidths=size / 4.5, zorder=2)
-    )
+    lines = [building.line_m(edge) for edge in range(building.n_edges)]
+    axes.add_collection(LineCollection(lines, colors=SERIES["sky"][0], linewidths=size / 4.5, zorder=2))
     handles = []
     for label, kind, feature, marker, colour, factor in _SIGNS:
         mask = building.kind == kind
@@ -157,7 +166,7 @@ def _draw_graph(axes: Any, building: Building, scale: float) -> None:
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
-        ncols=len(handles),
+        ncols=len(handles) if axes.figure.get_figwidth() > 1.3 * len(handles) else -(-len(handles) // 2),
         frameon=False,
         fontsize=9,
         handletextpad=0.3,

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import planted
 from tasklift import Task, TaskliftError, Variable
 from tasklift.studies.learn import run_spec
 from tasklift.studies.simplify import candidates, simplify, study_of
@@ -89,3 +90,8 @@ def test_mistakes_are_refused_before_anything_is_trained(tmp_path: Path, change:
         simplify(tmp_path / "spec.toml", tmp_path / "out")
     assert says in str(refused.value)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", planted.KINDS)
+def test_planted_truths_are_found(kind: str, tmp_path: Path) -> None:
+    assert planted.right(kind, planted.answer(kind, 1000, tmp_path))

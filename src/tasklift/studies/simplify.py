@@ -283,7 +283,7 @@ def simplify(
     study = study_of(path, allow_imports=allow_imports)
     try:
         with _folder(out) as folder:
-            answer = _search(study, folder / FILE_NAME, progress)
+            answer = search(study, folder, progress)
             if out is not None:
                 write_atomically(folder / "curriculum.json", canonical_json(dict(answer.document)) + "\n")
                 write_atomically(folder / "answer.txt", "\n".join(answer.lines) + "\n")
@@ -301,7 +301,9 @@ def _folder(out: str | os.PathLike[str] | None) -> Iterator[Path]:
         yield Path(folder)
 
 
-def _search(study: SimplifyStudy, file: Path, progress: Progress | None) -> Answer:
+def search(study: SimplifyStudy, folder: Path, progress: Progress | None = None) -> Answer:
+    """Race the candidates, and judge the best one on new seeds; the experiment is kept in ``folder``."""
+    file = folder / FILE_NAME
     criterion = study.settings.get("criterion", "losses")
     going, broken, spent = list(study.found), {}, 0
     for slug in list(going):  # what cannot run is refused before anything is trained

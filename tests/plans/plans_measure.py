@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -119,6 +119,9 @@ def _distances(n: int, edges: np.ndarray, length: np.ndarray) -> np.ndarray:
 def _path_errors(hand: Building, building: Building, plan: Plan, keep: np.ndarray) -> np.ndarray:
     a, b = hand.position_m[hand.edges[:, 0]], hand.position_m[hand.edges[:, 1]]
     expected = _distances(hand.n_nodes, hand.edges, np.hypot(*(a - b).T))
+    # drawn lines against drawn lines: lengths are those of ways that cut corners
+    drawn = np.array([np.hypot(*np.diff(building.line_m(e), axis=0).T).sum() for e in range(building.n_edges)])
+    building = replace(building, length_m=np.maximum(drawn, building.length_m))
     within = _distances(building.n_nodes, building.edges, building.length_m)
     places = [_attach(point, building, plan) for point in hand.position_m]
     errors = []

@@ -139,14 +139,23 @@ def show_command(
 @map_group.command("check")
 @click.argument("building", type=_file)
 @click.option("--nodes", is_flag=True, help="List every node with its place.")
-def check_command(building: Path, nodes: bool) -> None:
-    """Count what is in a building and say what looks wrong."""
+@click.option("--plan", type=_file, help="Compare lengths with this floor plan.  [default: the one imported]")
+@click.option("--level", help="The level of the plan.")
+def check_command(building: Path, nodes: bool, plan: Path | None, level: str | None) -> None:
+    """Count what is in a building, compare its ways with the plan's, and say what looks wrong."""
+    from tasklift.building.graph import ROOM
     from tasklift.plans.check import check, node_lines
+    from tasklift.plans.floor import unpack
+    from tasklift.plans.importing import read_plan
     from tasklift.plans.read import load_building
+    from tasklift.plans.ways import compare_ways
 
     loaded = load_building(building)
     for line in check(loaded).lines():
         click.echo(line)
+    floor = unpack(loaded) if plan is None else read_plan(plan, level=level)
+    if floor is not None and (loaded.kind == ROOM).sum() > 1:
+        click.echo(compare_ways(loaded, floor).line())
     for line in node_lines(loaded) if nodes else ():
         click.echo(line)
 

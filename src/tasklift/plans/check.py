@@ -123,7 +123,8 @@ def _warnings(building: Building) -> list[str]:
         found.append(f"the robots do not start in a room but at {_place(building, building.start)}")
     warn_edges(f"shorter than {SHORTEST_EDGE_M:g} m", np.flatnonzero(building.length_m < SHORTEST_EDGE_M))
     warn_edges(
-        "shorter than the straight line between their ends", np.flatnonzero(building.length_m < 0.98 * straight - 0.05)
+        "shorter than the straight line between the places at their ends",
+        np.flatnonzero(building.length_m < 0.98 * straight - 0.05 - _reach(building)),
     )
     warn_edges(
         f"more than {LONGEST_DETOUR:g} times as long as the straight line",
@@ -138,6 +139,16 @@ def _warnings(building: Building) -> list[str]:
         listed = "; ".join(" ".join(map(str, ring)) for ring in rings[:MOST_WARNINGS])
         found.append(f"loops of less than {SMALLEST_LOOP_M:g} m, around furniture? {listed}")
     return found
+
+
+def _reach(building: Building) -> np.ndarray:
+    """How far (m) the places at both ends of each corridor reach: where corridors meet, ways cut the corner."""
+    half = np.zeros(building.n_nodes)
+    for end in building.edges.T:
+        np.maximum.at(half, end, building.width_m / 2)
+    half = np.maximum(half, np.sqrt(building.area_m2) / 2)
+    half[(building.feature_class == DOOR) | (building.degree == 1)] = 0
+    return np.asarray(half[building.edges].sum(axis=1))
 
 
 def _place(building: Building, node: int) -> str:

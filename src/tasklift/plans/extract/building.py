@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from tasklift.building.graph import BEND, CORNER, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
 from tasklift.errors import TaskliftError
 from tasklift.plans.extract.axes import centre_nodes
-from tasklift.plans.extract.bends import name_bends, part_parallels, taut
+from tasklift.plans.extract.bends import name_bends, part_parallels
 from tasklift.plans.extract.corridors import draw_lines, drop_spikes, join_same, keep_joined
+from tasklift.plans.extract.lengths import courses
 from tasklift.plans.extract.outside import leave_out
-from tasklift.plans.extract.paths import PathGraph, Points, line_length
+from tasklift.plans.extract.paths import PathGraph, Points
 from tasklift.plans.extract.regions import Opening, jambs
 from tasklift.plans.extract.segment import Division, divide
 from tasklift.plans.extract.space import Settings, Space, clean
@@ -154,11 +155,12 @@ def _to_building(
     cells = np.array([node.at for node in nodes])
     position = np.round(plan.to_world(*space.to_plan(cells).T), 3)
     room = [node.owner if node.role == "room" else 0 for node in nodes]
-    edges, lengths, widths = [], [], []
-    for a, b, line in graph.edges.values():
+    edges, lengths, widths, ways = [], [], [], []
+    found = courses(graph, space)
+    for edge, (a, b, line) in graph.edges.items():
         edges.append((number[a], number[b]))
-        straight = taut(line, space.free)
-        lengths.append(max(round(line_length(straight) * space.cell_m, 3), space.cell_m))
+        lengths.append(max(round(found[edge].length * space.cell_m, 3), space.cell_m))
+        ways.append(np.round(plan.to_world(*space.to_plan(found[edge].line[1:-1]).T), 3))
         along = space.half_width_m[tuple(np.rint(line).astype(int).T)]
         widths.append(max(round(2 * float(np.median(along)), 3), 2 * space.cell_m))
     kind = np.array([kinds[node.role][0] for node in nodes], np.int8)
@@ -174,6 +176,7 @@ def _to_building(
         width_m=np.array(widths),
         start=choose_start(plan.name, kind, position, start),
         provenance={"source": plan.name, "resolution_m": plan.resolution_m},
+        course_m=tuple(ways),
     )
     doubts = [*plan.doubts, *space.doubts]
     return building, doubts

@@ -91,7 +91,7 @@ class Space:
 
     def part_of(self, pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The plan's ``pixels`` as cells of this space; one is true if any of its pixels is."""
-        cells = ~_coarser(~pixels, self.factor)
+        cells = ~coarser(~pixels, self.factor)
         found = np.zeros(self.free.shape, bool)
         first = np.maximum(self.corner, 0)
         last = np.minimum(np.add(self.corner, self.free.shape), cells.shape)
@@ -132,7 +132,7 @@ def clean(
     while plan.free.size / factor**2 > MOST_CELLS:
         factor += 1
     cell = plan.resolution_m * factor
-    free = _coarser(plan.free, factor)
+    free = coarser(plan.free, factor)
     if not free.any():
         raise TaskliftError(f"{plan.name}: no free space in the picture; are the thresholds and 'negate' right?")
     _refuse_open_country(plan.name, free, cell)
@@ -163,7 +163,7 @@ def clean(
 def _refuse_open_country(name: str, free: NDArray[np.bool_], cell: float) -> None:
     """Refuse floor that is far from any wall: it takes long, and comes to nothing."""
     metre = max(1, round(1.0 / cell))
-    away = float(to_wall(np.pad(_coarser(free, metre), 1)).max()) * metre * cell
+    away = float(to_wall(np.pad(coarser(free, metre), 1)).max()) * metre * cell
     if away > OPEN_M:
         raise TaskliftError(
             f"{name}: floor is {away:.0f} m from any wall; is the resolution of {cell:g} m right, or in millimetres? "
@@ -202,7 +202,7 @@ def _pieces(core: NDArray[np.bool_], radius: float) -> NDArray[np.int32]:
     return np.where(away < radius - ROUNDING, label[nearest[0], nearest[1]], 0).astype(np.int32)
 
 
-def _coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
+def coarser(free: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
     """One cell per ``factor`` x ``factor`` pixels, free if all of them are: walls never vanish."""
     if factor == 1:
         return free

@@ -60,7 +60,7 @@ class Event:
 
     @property
     def input(self) -> int:
-        """Index, in the task, of ``after``; raises :class:`TaskliftError` if it is no input of the task.
+        """Index, in the task, of ``after``; raises :class:`TaskliftError` if it is not an input of the task.
 
         What comes back at the end of an episode need not be one, and is looked up only where this is asked for.
         """
@@ -130,7 +130,7 @@ class Factored:
     ------
     TaskliftError
         If the spaces do not fit the task; later, for an observation outside of the declared factoring, a reward or
-        loss that is no number, a step after the end, and an environment that changed its spaces.
+        loss that is not a number, a step after the end, and an environment that changed its spaces.
     """
 
     def __init__(

@@ -54,7 +54,7 @@ def _parts(space: Any, names: Sequence[str]) -> list[tuple[Any, Any]] | None:
 def positions_of(space: Any, names: Sequence[str]) -> Callable[[Any], list[int]]:
     """Return the function that splits a value of a space into positions, each counted from 0.
 
-    The function raises ``TypeError`` or ``ValueError`` for what is no whole number.
+    The function raises ``TypeError`` or ``ValueError`` for what is not a whole number.
     """
     found = leaves(space, names)
     assert found is not None

@@ -103,7 +103,7 @@ class Model:
         Raises
         ------
         TaskliftError
-            For a state that is no input of the task, a branch without its four entries, and whatever the class refuses.
+            For a state that is not an input of the task, a branch without its four entries, and whatever the class refuses.
 
         Examples
         --------
@@ -162,7 +162,7 @@ class Model:
         if self.after.min() < 0 or self.after.max() >= n:
             raise TaskliftError(f"{where}: a transition leads to a state that is not among the {n}")
         if not np.isfinite(self.reward).all():
-            raise TaskliftError(f"{where}: a reward is no finite number")
+            raise TaskliftError(f"{where}: a reward is not a finite number")
         if self.rows.min() < 0 or self.rows.max() >= self.task.shape[0]:
             raise TaskliftError(f"{where}: a state has an input outside of the task's {self.task.shape[0]}")
         object.__setattr__(self, "_state", {"now": -1, "rng": None})

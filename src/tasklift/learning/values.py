@@ -383,7 +383,7 @@ def _trial(
     epsilon: float,
     learn: bool,
 ) -> Record:
-    """Run one trial; the same steps, in the same order, as ``model_kernel.trial``, which is compiled as a whole."""
+    """Run one trial; the same steps, in the same order, as ``model_kernel.trial``, which is compiled."""
     from tasklift.learning.model_kernel import choose, follow
 
     everything = np.ones(values.shape[1], np.bool_)

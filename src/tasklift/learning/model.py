@@ -103,7 +103,8 @@ class Model:
         Raises
         ------
         TaskliftError
-            For a state that is not an input of the task, a branch without its four entries, and whatever the class refuses.
+            For a state that is not an input of the task, a branch without its four entries, and whatever the class
+            refuses.
 
         Examples
         --------

@@ -310,7 +310,7 @@ def expand(mission):
         ({"team": {SCOUT: -1}}, "whole number from 0"),
         ({"weapons_needed": 6}, "needs 6 weapon robots, the team has 5"),
         ({"weapons_needed": 0}, "from 1 to"),
-        ({"hostiles": 99}, "has 4 door"),
+        ({"hostiles": 99}, "has 4 place"),
         ({"hostiles": -1}, "at least 0"),
         ({"hostiles": (0,)}, "is not a feature"),
         ({"hostiles": (30, 30)}, "a node twice"),

@@ -112,14 +112,14 @@ def test_says_how_far_above_the_bound_policies_are_and_judges_them_against_the_b
     text = (reproduction / "summary.md").read_text()
     head = text.index("| preset | arm | steps | least possible |")
     rows = [line.strip("| ").split(" | ") for line in text[head:].split("\n\n")[0].splitlines()[2:]]
-    labels = [ARMS[slug].label for slug in (*SLUGS, "best-known")]
+    labels = [ARMS[slug].label for slug in (*SLUGS, "searched")]
     assert [row[:2] for row in rows] == [[preset, label] for preset in PRESETS for label in labels]
     for _, _, steps, least, times, _ in rows:
         assert int(steps) >= int(least) > 0
         assert float(times) >= 1
     plan = paper_study(maps=2, seeds=2, trials=25, arms=SLUGS, survey=3, practice=400)
     with Store.read(reproduction / FILE_NAME) as store:
-        cells = list(store.select(arm="best-known", attachments=True))
+        cells = list(store.select(arm="searched", attachments=True))
         assert len(cells) == 2 * len(PRESETS)
         # in the same trials as the others' greedy use: with the seed of its search as the cell itself was tried
         for cell, result in cells:

@@ -39,7 +39,7 @@ def differing(section, plan, cells):
 
 def test_reproduce():
     plan = reproduce(maps=2, seeds=2, trials=100, arms=[arm.slug for arm in PAPER], survey=2)
-    cells = [cell for cell in plan.cells() if cell["arm"] not in ("v", "best-known")]
+    cells = [cell for cell in plan.cells() if cell["arm"] not in ("v", "searched")]
     assert len(cells) == len(RECORDED["reproduce"])
     assert differing("reproduce", plan, cells) == []
 

@@ -39,7 +39,7 @@ from tasklift.cli.terminal import say, say_json
     type=positive,
     default=36_000,
     show_default=True,
-    help="Safe episodes of the search per building and preset, for the best policy known.",
+    help="Safe episodes of the search per building and preset that C11 is judged by.",
 )
 @folder("reproduction")
 @running

@@ -452,11 +452,11 @@ FORGET = Arm("copy-forget", "copy+forget", "copy, with what V taught about stopp
 #: What is ours, and handed over to users.
 SEARCH = Arm("search", "policy search in drills", "searches whole policies in practice with a hostile at every door; "
              "meets the dangerous task with what it found", searching, drawn=True, mixed=True)  # fmt: skip
-#: The best policy known, which the paper's are judged against: one search, of which only the policy is kept.
-BEST = replace(SEARCH, slug="best-known", label="best known", meaning="the policy that one search in drills finds on a "
-               "map; nothing is learned from it", rows=False, drawn=False)  # fmt: skip
+#: What the paper's policies are judged against as well: one search per map, of which only the policy is kept.
+SEARCHED = replace(SEARCH, slug="searched", label="searched in drills", rows=False, drawn=False,
+                   meaning="the policy that one search in drills finds on a map")  # fmt: skip
 #: Every arm by its slug.
-ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, FORGET, SEARCH, BEST, *DRILLS)}
+ARMS: dict[str, Arm] = {arm.slug: arm for arm in (*PAPER, SOURCE, FORGET, SEARCH, SEARCHED, *DRILLS)}
 
 
 def arms_named(slugs: Iterable[str], known: Mapping[str, Arm] = ARMS) -> tuple[Arm, ...]:

@@ -16,7 +16,7 @@ from tasklift.files import output_folder, write_atomically
 from tasklift.lab import FILE_NAME, Store
 from tasklift.report.charts import Series
 from tasklift.report.page import Report
-from tasklift.studies.arms import ARMS, BEST, Arm
+from tasklift.studies.arms import ARMS, SEARCHED, Arm
 from tasklift.studies.claims import CLAIMS, LAST, Finding, indirect
 from tasklift.studies.samples import Sample
 from tasklift.studies.study import Study
@@ -32,7 +32,7 @@ def save_policies(study: Study, folder: Path, condition: str, building: str) -> 
     Parameters
     ----------
     study
-        Its arms are trained again, since stores keep no policies but the best known.
+        Its arms are trained again, since stores keep no policies but those that were searched.
     folder
         Made if it is not there.
     condition, building
@@ -41,7 +41,7 @@ def save_policies(study: Study, folder: Path, condition: str, building: str) -> 
     output_folder(folder)
     paths = []
     for slug in study.slugs(building):
-        if study.arms[slug].learns and slug != BEST.slug:
+        if study.arms[slug].learns and slug != SEARCHED.slug:
             paths.append(folder / f"{condition}-{slug}.json")
             if not paths[-1].exists():
                 study.train(study.cell(condition, building, 0, slug)).policy.save(paths[-1])

@@ -32,7 +32,7 @@ from tasklift.learning.curriculum import Curriculum, CurriculumRun
 from tasklift.learning.learner import MOST_TRIALS, InTurn, Learner, Run
 from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
 from tasklift.learning.search import PolicySearch
-from tasklift.studies.arms import ARMS, BEST, PRACTICE, Arm, Setup, arms_named
+from tasklift.studies.arms import ARMS, PRACTICE, SEARCHED, Arm, Setup, arms_named
 from tasklift.tasks.policy import Policy
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class Record:
     policy
         Whether the learned policy is used greedily afterwards, and its weights are summed up.
     weights
-        Whether the learned policy's weights are kept as well. Those of the best policy known always are.
+        Whether the learned policy's weights are kept as well. Those of the arm ``searched`` always are.
     """
 
     columns: tuple[str, ...] = COLUMNS
@@ -325,7 +325,7 @@ class Study:
         attachments: dict[str, Any] = {}
         if self.record.policy:
             attachments |= self._coverage(cell, run)
-            if self.record.weights or arm.slug == BEST.slug:
+            if self.record.weights or arm.slug == SEARCHED.slug:
                 attachments["weights"] = run.policy.weights
             if "target" in run.outcomes:
                 attachments["move_weights"] = move_weights(run.policy)

@@ -10,7 +10,7 @@ import numpy as np
 from tasklift.building.least import least_steps
 from tasklift.building.reading import PRESETS
 from tasklift.lab import Store
-from tasklift.studies.arms import ARMS, BEST
+from tasklift.studies.arms import ARMS, SEARCHED
 from tasklift.studies.samples import Sample
 from tasklift.studies.study import GREEDY_TRIALS, Part, Study
 from tasklift.tasks.policy import Policy
@@ -21,7 +21,7 @@ SEED = 0
 
 def part(maps: Sequence[str]) -> Part:
     """Return the cells that search a policy: one per map and preset."""
-    return Part((BEST.slug,), tuple(PRESETS), tuple(maps), (SEED,))
+    return Part((SEARCHED.slug,), tuple(PRESETS), tuple(maps), (SEED,))
 
 
 def policy(study: Study, store: Store, preset: str, name: str) -> Policy:
@@ -34,8 +34,8 @@ def policy(study: Study, store: Store, preset: str, name: str) -> Policy:
     preset, name
         Names of the condition and of the map.
     """
-    weights = store.result(study.cell(preset, name, SEED, BEST.slug)).attachments["weights"]
-    made = {"learned_by": BEST.label, "arm": BEST.slug, "map": name, "seed": SEED}
+    weights = store.result(study.cell(preset, name, SEED, SEARCHED.slug)).attachments["weights"]
+    made = {"learned_by": SEARCHED.label, "arm": SEARCHED.slug, "map": name, "seed": SEED}
     return Policy(study.mission(preset, name).task, weights, made)
 
 

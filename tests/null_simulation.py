@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift import stats
+from tasklift.learning.guard import SequentialTest
 
 Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
 
@@ -48,8 +49,10 @@ RATIOS: dict[str, tuple[Draw, Draw, float]] = {
         lambda rng, n: rng.poisson(20, size=n) * 1.0, lambda rng, n: rng.poisson(1, size=n) * 1.0, 20.0,
     ),
 }  # fmt: skip
-#: Seeds, and the maps that they are divided over.
-DESIGNS = ((6, 1), (8, 1), (10, 1), (30, 1), (30, 6))
+#: Seeds, and the maps that they are divided over: 4 × 5 is a reading of the multiverse, 6 × 5 the reproduction.
+DESIGNS = ((6, 1), (8, 1), (10, 1), (30, 1), (20, 4), (30, 6))
+#: Pairs of trials that a guard compares: a tenth of 100 to 3,000 trials.
+PAIRS = (10, 30, 100, 300)
 
 
 def strata(n: int, maps: int) -> NDArray[np.int64] | None:
@@ -116,6 +119,19 @@ def band_errors(draw: Draw, n: int, maps: int, *, draws: int, resamples: int) ->
     return missed / max(shown, 1)
 
 
+def guard_verdicts(draw: Draw, pairs: int, *, draws: int, shift: float = 0.0) -> tuple[float, float]:
+    """Return how often a guard that looks after every pair ever says "helps", and "hurts"."""
+    rng = np.random.default_rng(pairs)
+    found = []
+    for _ in range(draws):
+        test, verdict = SequentialTest(), "can't tell yet"
+        for gap in np.sign(draw(rng, pairs) - draw(rng, pairs) + shift):
+            if verdict == "can't tell yet":
+                verdict = test.update(float(gap))
+        found.append(verdict)
+    return found.count("helps") / draws, found.count("hurts") / draws
+
+
 def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     print(f"\n{title}\n")
     for row in [columns, ["---"] * len(columns), *rows]:
@@ -156,6 +172,18 @@ def main(draws: int, resamples: int = 999) -> None:
         for name, draw in NULLS.items()
     ]
     _table("Bands of curves: trials missed (%)", ["values", *names], bands)
+    columns = [f"{pairs} pairs" for pairs in PAIRS]
+    guarded = []
+    for name in ("normal", "lognormal", "zero-inflated"):
+        rates = [guard_verdicts(NULLS[name], pairs, draws=draws // 2) for pairs in PAIRS]
+        for k, word in enumerate(("helps", "hurts")):
+            guarded.append([f"{name}: {word}", *(percent(rate[k]) for rate in rates)])
+    _table("The guard, where there is nothing (%)", ["values", *columns], guarded)
+    helped = [
+        [f"{shift:g}", *(percent(guard_verdicts(NULLS["normal"], p, draws=draws // 4, shift=shift)[0]) for p in PAIRS)]
+        for shift in (0.5, 1.0, 2.0)
+    ]
+    _table('The guard, power (%): "helps", difference in standard deviations', ["difference", *columns], helped)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ def test_mutated_files_are_read_and_used_or_refused_in_one_line(name: str) -> No
         runs = 200  # each is read in ten ways
     with tempfile.TemporaryDirectory(dir=fuzz.MEMORY) as folder:
         figures = fuzz.fuzz(name, fuzz.READERS[name], Path(folder), range(runs))
+    print(f"{name}: {figures}")
     assert figures.read + figures.refused == runs
     assert figures.read > 20
     assert figures.refused > 20

@@ -16,6 +16,7 @@ from tasklift.errors import TaskliftError
 from tasklift.plans.extract.axes import centre_nodes
 from tasklift.plans.extract.bends import name_bends, part_parallels
 from tasklift.plans.extract.corridors import draw_lines, drop_spikes, join_same, keep_joined
+from tasklift.plans.extract.doubts import doubt, not_free
 from tasklift.plans.extract.lengths import courses
 from tasklift.plans.extract.outside import leave_out
 from tasklift.plans.extract.paths import PathGraph, Points
@@ -51,7 +52,11 @@ def extract(
     say("cleaning the picture")
     points = plan.seeds_m if seed_point is None else np.array([seed_point], float)
     seeds = None if points is None else plan.to_pixels(points)
-    plan, space = _opened(plan, clean(plan, settings, seeds), seeds)
+    try:
+        space = clean(plan, settings, seeds)
+    except TaskliftError as error:
+        raise TaskliftError("; ".join([str(error), *not_free(plan), *plan.doubts])) from error
+    plan, space = _opened(plan, space, seeds)
     say("dividing at the narrow places")
     division = divide(space)
     if not division.openings:
@@ -73,6 +78,7 @@ def extract(
     lost = keep_joined(graph)
     if lost:
         space.doubts.append(f"{lost} nodes that no corridor joins to the others were left out")
+    doubt(plan, division, graph)
     say("building the graph")
     return _to_building(plan, division, graph, start)
 

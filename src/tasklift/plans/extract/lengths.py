@@ -13,7 +13,7 @@ from tasklift.plans.extract.paths import PathGraph, Points, line_length
 from tasklift.plans.extract.space import ROUNDING, Space
 
 # For each room, ways to this many of the nearest rooms and to this many of the others are measured, up to a total.
-NEAR_ROOMS, FAR_ROOMS = 3, 3
+NEAR_ROOMS, FAR_ROOMS = 3, 2
 MOST_WAYS = 600
 # A corridor keeps this part of its own length, and this length (m). Corridors to doors and rooms give up length more
 # readily than those along axes: a door lies beside the ways of others.
@@ -27,8 +27,8 @@ ROUNDS = 200
 PASSES = 5
 STEP_M = 0.3
 NEAREST_M, RATIO = 0.05, 1.6
-WINDOW = 60
-SIGHT_M = 0.1
+WINDOW = 24
+SIGHT_M = 0.15
 LEFT_OVER = 1.02
 
 

@@ -260,6 +260,7 @@ def _choose(
     if others:
         doubts.append(
             f"several free regions: took the one of {area[best]:.0f} m²; left out {len(others)} more of "
-            f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m² (a seed point chooses another)"
+            f"{sum(others):.0f} m² in all, the largest {max(others):.0f} m²: are doors shut, or drawn as lines? "
+            "(a seed point chooses another)"
         )
     return np.isin(label, best), sum(others)

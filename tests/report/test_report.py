@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -19,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasklift.errors import TaskliftError
-from tasklift.report.charts import Series, ticks
-from tasklift.report.page import Report
+from tasklift.report.charts import Mark, Row, Series, ticks
+from tasklift.report.page import Link, Number, Report
 from tasklift.text import number
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -71,18 +72,25 @@ class Reader(HTMLParser):
 
 def full(name: str) -> Report:
     y = np.linspace(500, 100, 20)
+    report = Report(name)
+    with report.fold(name):
+        report.table([name], [[Link(name, "replays/a.html")]])
     return (
-        Report(name)
+        report
+        .headline(name, [Number(name, name, name)])
         .verdict(name)
+        .warning(name)
+        .footer(name)
         .section(name)
         .paragraph(name)
         .bullets([name])
-        .code(name, summary=name)
+        .code(name)
         .table([name, "effect", "verdict"], [[name, -1.5, "holds"], ["b", 2, "does not hold"]], caption=name)
         .figure(png(), name)
         .figure(b"<svg xmlns='http://www.w3.org/2000/svg' width='5' height='5'></svg>", name, alt=name)
-        .curves([Series(name, y, y - 9, y + 9), Series("one run", y)], title=name, y_label=name, caption=name)
-        .bars3d(np.arange(6).reshape(2, 3) - 1, [name, "Move"], ["1", name, "3"], title=name, z_label=name)
+        .curves([Series(name, y, y - 9, y + 9, each=y + 5), Series("one run", y)], title=name, y_label=name)
+        .rows([Row(name, [Mark(-1.0, -2, 3, name, name), Mark(2, slug="b", name="b")], name)], title=name, label=name)
+        .shares([(name, (0.5, 0.25, 0.25), name)], title=name, caption=name)
     )
 
 
@@ -102,7 +110,6 @@ def test_no_text_can_break_the_page(name):
     assert executed == [text for kind, text in tame.scripts if kind is None]
     data = [json.loads(text) for kind, text in page.scripts if kind == "application/json"]
     assert data[0]["series"][0]["name"] == name
-    assert data[1]["rows"][0] == name
 
 
 def test_the_page_needs_no_network_and_allows_only_its_own_script():
@@ -110,31 +117,62 @@ def test_the_page_needs_no_network_and_allows_only_its_own_script():
     reader = Reader(page)
     links = [value for key, value in reader.attributes if key in ("src", "href", "srcset", "action")]
     assert links
-    assert all(value.startswith(("data:image/", "#s")) for value in links)
-    outside = set(re.findall(r"(?:https?:)?//[\w.]+\.\w+[^\s\"]*", re.sub(r"base64,[^\"]*", "", page)))
-    assert outside == {"http://www.w3.org/2000/svg"}  # a name, not an address that is fetched
+    assert all(value.startswith(("data:image/", "#s", "replays/")) for value in links)
+    assert not re.findall(r"(?:https?:)?//[\w.]+\.\w+[^\s\"]*", re.sub(r"base64,[^\"]*", "", page))
     assert "@import" not in page
     assert "url(" not in page
     (script,) = [text for kind, text in reader.scripts if kind is None]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    policy = (
-        dict(reader.attributes)["content"]
-        if False
-        else next(v for k, v in reader.attributes if k == "content")
-    )
+    policy = next(value for key, value in reader.attributes if key == "content")
     assert policy.startswith("default-src 'none'")
     assert f"script-src 'sha256-{digest}'" in policy
 
 
-def test_curves_and_bars_are_drawn_without_javascript():
+def test_charts_are_drawn_without_javascript():
     reader = Reader(full("arm").html())
-    assert {"path", "polygon", "svg"} <= set(reader.tags)
-    assert "arm, 1: −1" in reader.texts  # a bar's value
+    assert {"path", "svg"} <= set(reader.tags)
+    assert ("title", "arm: −1") in reader.attributes  # a dot's value
     drawn = [value for key, value in reader.attributes if key == "d"]
-    assert len(drawn) == 3
+    assert len(drawn) == 4  # a band, a smoothed line, and each value; one line that is not smoothed
     for value in drawn:
         numbers = [float(n) for n in re.findall(r"-?\d+\.?\d*", value)]
-        assert all(0 <= n <= 640 for n in numbers)
+        assert all(0 <= n <= 480 for n in numbers)
+
+
+def places(page, kind):
+    found = re.findall(rf'class="{kind} c\d" style="left: ([\d.]+)%(?:; width: ([\d.]+)%)?', page)
+    return [tuple(float(part) for part in one if part) for one in found]
+
+
+def test_a_dot_lies_where_its_value_is():
+    rows = [Row("a", [Mark(0.0, slug="x"), Mark(2.5, 2.5, math.inf, slug="y")]), Row("b", [Mark(10, 5, 10, "x")])]
+    page = Report("t").rows(rows).html()
+    assert places(page, "dot") == [(0,), (25,), (100,)]
+    assert places(page, "reach") == [(25, 75), (50, 50)]  # one without a bound goes to the end
+    with pytest.raises(TaskliftError, match="rows"):
+        Report("t").rows([Row("a", [])])
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=12))
+@settings(deadline=None, derandomize=True)
+def test_names_at_the_ends_of_lines_do_not_cover_one_another(values):
+    series = [Series(f"s{i}", [0.0, value]) for i, value in enumerate(values)]
+    page = Report("t").curves(series, y_range=(0, 1)).html()
+    tops = [float(top) for top in re.findall(r'style="top: ([\d.]+)%"', page)]
+    assert len(tops) == len(values)
+    assert all(b - a > 6.8 for a, b in itertools.pairwise(sorted(tops)))
+    assert all(tops[i] < tops[j] for i, j in itertools.permutations(range(len(values)), 2)
+               if values[i] > values[j] + 0.01)  # fmt: skip
+
+
+def test_a_fold_is_closed_and_a_footer_is_the_end():
+    page = Report("t").footer("made by hand")
+    with page.fold("more"):
+        page.paragraph("hidden")
+    text = page.html()
+    assert "<details><summary>more</summary>\n<p>hidden</p>\n</details>" in text
+    assert "<main>" in text
+    assert text.index("</main>") < text.index("<footer><p>made by hand</p></footer>")
 
 
 def test_a_curve_keeps_its_colour_and_shows_gaps():
@@ -152,8 +190,11 @@ def test_a_curve_keeps_its_colour_and_shows_gaps():
 def test_tables_say_numbers_and_verdicts():
     page = Report("t").table(["a", "b"], [[12345.6, "undecided"], [float("nan"), None]]).html()
     assert "12\u2009346" in page
-    assert '<span class="badge open">undecided</span>' in page
+    assert '<span class="badge open short"><b>–</b> <span>undecided</span></span>' in page
     assert '<th scope="col" class=num>a</th>' in page
+    few = Report("t").table(["a"], [["holds"], ["too few seeds (3 of at least 6)"]]).html()
+    assert '<b>✓</b> <span>holds</span>' in few
+    assert '<b>–</b> <span>too few seeds (3 of at least 6)</span>' in few
 
 
 @given(st.floats(-1e12, 1e12), st.floats(1e-6, 1e12))
@@ -191,8 +232,7 @@ def test_number(value, text):
         lambda r: r.curves([]),
         lambda r: r.curves([Series("a", [1, 2], [1], [2])]),
         lambda r: r.curves([Series("a", [1, 2])], x=[1, 2, 3]),
-        lambda r: r.bars3d([[1, 2]], ["a"], ["b"]),
-        lambda r: r.bars3d([[math.nan]], ["a"], ["b"]),
+        lambda r: r.rows([Row("a", [Mark(math.nan)])]),
         lambda r: r.write("no/such/folder/report.html"),
     ],
 )

@@ -18,7 +18,8 @@ from tasklift.lab import FILE_NAME, CellResult, Store, run
 from tasklift.learning.curriculum import Curriculum
 from tasklift.studies.arms import ARMS, COUNTED, DRILLS, EVERY_DOOR, LOSS_SIGNAL, SELECTIONS, Drilling, Setup
 from tasklift.studies.drills import report as drill_report
-from tasklift.studies.drills.report import BEGIN, END, after_holm, chosen, contrast, headline, paste, times, times_fewer
+from tasklift.studies.drills.contrasts import after_holm, contrast, times, times_fewer
+from tasklift.studies.drills.report import BEGIN, END, chosen, headline, paste
 from tasklift.studies.drills.study import (
     CHOSEN,
     DOORS,

@@ -46,10 +46,11 @@ from tasklift.cli.terminal import say, say_json
 def reproduce(**options: Any) -> None:
     """Reproduce the paper: arms, presets, maps, seeds; figures, claims, report.html."""
     from tasklift.studies.paper.reproduce import reproduce as run
+    from tasklift.watch.html import write
 
     with progress() as show:
-        report = run(progress=show, command=command_line(), **given(options))
-    say(f"report: {report}")
+        lines, report = run(progress=show, play=write, command=command_line(), **given(options))
+    say("\n".join([*lines, f"report: {report}"]))
 
 
 @click.command()
@@ -65,8 +66,8 @@ def multiverse(**options: Any) -> None:
     from tasklift.studies.multiverse.report import multiverse as run
 
     with progress() as show:
-        report = run(progress=show, command=command_line(), **given(options))
-    say(f"report: {report}")
+        lines, report = run(progress=show, command=command_line(), **given(options))
+    say("\n".join([*lines, f"report: {report}"]))
 
 
 @click.command()
@@ -90,9 +91,11 @@ def drills(choose: bool, **options: Any) -> None:
         print_tables(table)
         say(line)
         return
+    from tasklift.watch.html import write
+
     with progress() as show:
-        lines, report = drill_report.drills(progress=show, command=command_line(), **given(options))
-    say("\n".join([*(line.replace("**", "") for line in lines), f"report: {report}"]))
+        lines, report = drill_report.drills(progress=show, play=write, command=command_line(), **given(options))
+    say("\n".join([*lines, f"report: {report}"]))
 
 
 @click.command()
@@ -124,9 +127,10 @@ def drills(choose: bool, **options: Any) -> None:
 def train(as_json: bool, **options: Any) -> None:
     """Learn on your own building: the best policy, certified; or that none is ready, why, and what would do."""
     from tasklift.studies.train import train as run
+    from tasklift.watch.html import write
 
     with progress() as show:
-        lines, report = run(progress=show, command=command_line(), **given(options))
+        lines, report = run(progress=show, play=write, command=command_line(), **given(options))
     if as_json:
         from tasklift.files import parse_json, read_text
 

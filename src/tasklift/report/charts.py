@@ -1,4 +1,7 @@
-"""Charts as SVG text that stands alone; ``report.js`` adds hovering, toggling and turning to the same SVG."""
+"""Charts that stand alone: curves as SVG, rows of dots and of shares as HTML. ``report.js`` adds hovering and toggling.
+
+Text is HTML wherever it can be, so that it keeps its size on a phone.
+"""
 
 from __future__ import annotations
 
@@ -14,22 +17,57 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasklift.errors import TaskliftError
-from tasklift.style import DASHES, LOOKS, Look
+from tasklift.style import DASHES, Look
 from tasklift.text import number
 
-_WIDTH, _HEIGHT = 640, 340
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 12, 46
+_WIDTH, _HEIGHT = 480, 270
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 8, 10, 42
+#: Least distance of two names at the ends of lines, as a share of the chart's height.
+_NAME = 0.07
+#: A verdict's sign, and its colour.
+VERDICTS = {
+    "holds": ("✓", "holds"),
+    "undecided": ("–", "open"),
+    "does not hold": ("✗", "fails"),
+    "too few": ("–", "open"),
+}
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Series:
-    """One curve: ``y`` ``(T,)``, its band ``low`` and ``high`` ``(T,)`` or None, and the slug of its colour."""
+    """One curve: ``y`` ``(T,)``, its band ``low`` and ``high`` ``(T,)`` or None, and the slug of its colour.
+
+    ``each`` ``(T,)`` is what the reader may switch to: the values before they were smoothed.
+    """
 
     name: str
     y: ArrayLike
     low: ArrayLike | None = None
     high: ArrayLike | None = None
     slug: str = ""
+    each: ArrayLike | None = None
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A dot on a row, with its interval (nan: none); ``slug`` gives its colour; names of several make a key."""
+
+    at: float
+    low: float = math.nan
+    high: float = math.nan
+    slug: str = ""
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a flat chart: its name, the dots on it, and what is written behind them."""
+
+    label: str
+    marks: Sequence[Mark]
+    text: str = ""
 
 
 def escape(text: object) -> str:
@@ -56,26 +94,25 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
 # ---------------------------------------------------------------- curves
 
 
-def curves_svg(
+def curves_html(
     series: Sequence[Series],
     looks: Mapping[str, Look],
     *,
     x: ArrayLike | None = None,
-    x_label: str = "trial",
+    x_label: str = "episode",
     y_label: str = "",
     y_range: tuple[float, float] | None = None,
 ) -> tuple[str, dict[str, Any]]:
-    """Draw the curves; return the SVG and what ``report.js`` needs to show values under the pointer."""
+    """Draw the curves, with their names at their ends; return HTML and what ``report.js`` needs besides."""
     rows = [_checked(one) for one in series]
     if not rows:
         raise TaskliftError("report.curves: no series; give at least one")
-    longest = max(len(y) for y, _, _ in rows)
+    longest = max(len(y) for y, *_ in rows)
     across = np.arange(1, longest + 1, dtype=np.float64) if x is None else np.asarray(x, dtype=np.float64)
     if across.shape != (longest,) or not np.isfinite(across).all():
         raise TaskliftError(f"report.curves: x has shape {across.shape}, expected ({longest},) finite numbers")
     known = np.concatenate([part[np.isfinite(part)] for row in rows for part in row if part is not None])
-    ends = y_range or ((min(0.0, float(known.min())), float(known.max())) if known.size else (0.0, 1.0))
-    marks = ticks(*ends)
+    marks = ticks(*(y_range or ((float(known.min()), float(known.max())) if known.size else (0.0, 1.0))))
     span = float(across[0]), float(across[-1] if across[-1] > across[0] else across[0] + 1)
 
     def sx(value: Any) -> Any:
@@ -84,48 +121,71 @@ def curves_svg(
     def sy(value: Any) -> Any:
         return _HEIGHT - _BOTTOM - (value - marks[0]) / (marks[-1] - marks[0]) * (_HEIGHT - _TOP - _BOTTOM)
 
-    parts = [_axes(marks, [t for t in ticks(*span, 8) if span[0] <= t <= span[1]], sx, sy, x_label, y_label)]
-    for i, (one, (y, low, high)) in enumerate(zip(series, rows, strict=True)):
+    parts = [_axes(marks, [t for t in ticks(*span, 5) if span[0] <= t <= span[1]], sx, sy, x_label, y_label)]
+    for i, (one, (y, low, high, each)) in enumerate(zip(series, rows, strict=True)):
         at = sx(across[: len(y)])
         look = looks[one.name]
-        style = f'class="series c{look.index}" data-series="{i}"'
         dash = " ".join(f"{1.8 * length:g}" for length in DASHES[look.dash])
-        band = ""
-        if low is not None and high is not None:
-            band = f'<path class="band" d="{_band(at, sy(low), sy(high))}"/>'
-        line = f'<path class="line" stroke-dasharray="{dash}" d="{_line(at, sy(y))}"/>'
-        parts.append(f"<g {style}><title>{escape(one.name)}</title>{band}{line}</g>")
+        drawn = "" if low is None or high is None else f'<path class="band" d="{_band(at, sy(low), sy(high))}"/>'
+        drawn += f'<path class="line" stroke-dasharray="{dash}" d="{_line(at, sy(y))}"/>'
+        if each is not None:
+            raw = f'<path class="line" stroke-dasharray="{dash}" d="{_line(at, sy(each))}"/>'
+            drawn = f'<g class="smooth">{drawn}</g><g class="each">{raw}</g>'
+        parts.append(f'<g class="series c{look.index}" data-series="{i}">{drawn}</g>')
     parts.append(f'<line class="guide" y1="{_TOP}" y2="{_HEIGHT - _BOTTOM}" visibility="hidden"/>')
     label = escape(f"{y_label} by {x_label}")
     svg = f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+    names = [
+        f'<span class="c{looks[one.name].index}" style="top: {100 * top:.1f}%">'
+        f'<i class="{looks[one.name].dash}"></i>{escape(one.name)}</span>'
+        for one, top in zip(series, _apart([_end(sy(y)) / _HEIGHT for y, *_ in rows]), strict=True)
+    ]
     data = {
         "x": across.tolist(),
         "from": [_LEFT, _WIDTH - _RIGHT],
         "label": x_label,
         "series": [
-            {"name": one.name, "y": _texts(y), "low": _texts(low), "high": _texts(high)}
-            for one, (y, low, high) in zip(series, rows, strict=True)
+            {"name": one.name, "y": _texts(y), "low": _texts(low), "high": _texts(high), "each": _texts(each)}
+            for one, (y, low, high, each) in zip(series, rows, strict=True)
         ],
     }
-    return svg, data
+    return f'<div class="curves">{svg}<div class="ends">{"".join(names)}</div></div>', data
 
 
-def _checked(
-    one: Series,
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64] | None]:
+def _checked(one: Series) -> tuple[Floats, Floats | None, Floats | None, Floats | None]:
     y = np.asarray(one.y, dtype=np.float64)
-    low, high = (None if v is None else np.asarray(v, dtype=np.float64) for v in (one.low, one.high))
-    for part in (y, low, high):
+    low, high, each = (None if v is None else np.asarray(v, dtype=np.float64) for v in (one.low, one.high, one.each))
+    for part in (y, low, high, each):
         if part is not None and (part.shape != y.shape or part.ndim != 1 or not part.size):
             raise TaskliftError(f"report.curves: series {one.name!r} has shape {part.shape}, expected one (T,)")
-    return y, low, high
+    return y, low, high, each
 
 
-def _texts(values: NDArray[np.float64] | None) -> list[str] | None:
-    return None if values is None else [number(v) for v in values]
+def _end(y: Floats) -> float:
+    """Return where a line ends: its last known value."""
+    known = y[np.isfinite(y)]
+    return float(known[-1]) if known.size else 0.0
 
 
-def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
+def _apart(places: Sequence[float]) -> list[float]:
+    """Move places in [0, 1] apart, so that names at them do not cover one another; their order stays."""
+    order = sorted(range(len(places)), key=lambda i: places[i])
+    found, least = list(places), 0.0
+    for i in order:
+        found[i] = least = max(places[i], least)
+        least += _NAME
+    most = 1.0
+    for i in reversed(order):
+        found[i] = min(found[i], most)
+        most = found[i] - _NAME
+    return found
+
+
+def _texts(values: Floats | None) -> list[str] | None:
+    return None if values is None else [number(v, 3) for v in values]
+
+
+def _line(x: Floats, y: Floats) -> str:
     """A path with a gap wherever a value is not finite."""
     steps, pen = [], "M"
     for a, b in zip(x, y, strict=True):
@@ -135,7 +195,7 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
     return "".join(steps)
 
 
-def _band(x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
+def _band(x: Floats, low: Floats, high: Floats) -> str:
     good = np.isfinite(low) & np.isfinite(high)
     if not good.any():
         return ""
@@ -150,104 +210,81 @@ def _axes(y_marks: list[float], x_marks: list[float], sx: Any, sy: Any, x_label:
         parts.append(f'<line class="grid" x1="{_LEFT}" x2="{right}" y1="{sy(mark):.1f}" y2="{sy(mark):.1f}"/>')
         parts.append(f'<text class="tick end" x="{_LEFT - 7}" y="{sy(mark) + 4:.1f}">{number(mark)}</text>')
     for mark in x_marks:
-        parts.append(f'<text class="tick mid" x="{sx(mark):.1f}" y="{base + 17}">{number(mark)}</text>')
+        parts.append(f'<text class="tick mid" x="{sx(mark):.1f}" y="{base + 16}">{number(mark)}</text>')
     middle = (_TOP + base) / 2
     parts.append(f'<line class="axis" x1="{_LEFT}" x2="{right}" y1="{base}" y2="{base}"/>')
-    parts.append(f'<text class="label mid" x="{(_LEFT + right) / 2}" y="{_HEIGHT - 8}">{escape(x_label)}</text>')
+    parts.append(f'<text class="label mid" x="{(_LEFT + right) / 2}" y="{_HEIGHT - 7}">{escape(x_label)}</text>')
     parts.append(
-        f'<text class="label mid" transform="rotate(-90 14 {middle})" x="14" y="{middle}">{escape(y_label)}</text>'
+        f'<text class="label mid" transform="rotate(-90 13 {middle})" x="13" y="{middle}">{escape(y_label)}</text>'
     )
     return "".join(parts)
 
 
-# ---------------------------------------------------------------- bars in three dimensions
+# ---------------------------------------------------------------- flat charts: rows
 
 
-def bars_scene(
-    values: ArrayLike,
-    rows: Sequence[str],
-    columns: Sequence[str],
-    *,
-    z_label: str,
-    z_range: tuple[float, float] | None,
-) -> dict[str, Any]:
-    """What is drawn from any side, by :func:`bars_svg` and, while the reader turns it, by ``report.js``."""
-    z = np.asarray(values, dtype=np.float64)
-    if z.shape != (len(rows), len(columns)) or not z.size or not np.isfinite(z).all():
-        raise TaskliftError(
-            f"report.bars3d: values have shape {z.shape}, expected ({len(rows)}, {len(columns)}), all finite"
+def rows_html(
+    rows: Sequence[Row], looks: Mapping[str, Look], *, label: str = "", within: tuple[float, float] | None = None
+) -> str:
+    """Draw a dot with its interval for each mark, a row under the other, on one scale; a table for those who listen.
+
+    Parameters
+    ----------
+    rows
+        At least one mark in all.
+    looks
+        By slug of the marks.
+    label
+        Of the scale.
+    within
+        The scale's ends; default: those of the marks.
+    """
+    marks = [mark for row in rows for mark in row.marks]
+    if not marks or not all(math.isfinite(mark.at) for mark in marks):
+        raise TaskliftError("report.rows: expected rows with marks at finite places")
+    known = [v for mark in marks for v in (mark.at, mark.low, mark.high) if math.isfinite(v)]
+    scale = ticks(*(within or (min(known), max(known))), 4)
+
+    def at(value: float) -> float:
+        return 100 * (min(max(value, scale[0]), scale[-1]) - scale[0]) / (scale[-1] - scale[0])
+
+    body = []
+    for row in rows:
+        drawn = []
+        for mark in row.marks:
+            title = escape(f"{mark.name or row.label}: {number(mark.at)}")
+            colour = f"c{looks[mark.slug].index}"
+            if math.isfinite(mark.low) or math.isfinite(mark.high):
+                low, high = (at(v) if math.isfinite(v) else end for v, end in ((mark.low, 0.0), (mark.high, 100.0)))
+                drawn.append(f'<i class="reach {colour}" style="left: {low:.1f}%; width: {high - low:.1f}%"></i>')
+            drawn.append(f'<i class="dot {colour}" style="left: {at(mark.at):.1f}%" title="{title}"></i>')
+        body.append(_row(row.label, "".join(drawn), row.text))
+    lines = "".join(f'<b style="left: {at(mark):.1f}%">{number(mark)}</b>' for mark in scale)
+    names = dict.fromkeys((mark.name, looks[mark.slug].index) for mark in marks if mark.name)
+    key = "".join(f'<span><i class="dot c{index}"></i>{escape(name)}</span>' for name, index in names)
+    key = f'<div class="key">{key}</div>' if len(names) > 1 else ""
+    return key + _rows(body, f'<div class="track scale">{lines}</div>', label)
+
+
+def shares_html(rows: Sequence[tuple[str, Sequence[float], str]]) -> str:
+    """Draw shares of the three verdicts: in each row a name, the shares that hold, are open, and fail, and a text."""
+    body, kinds = [], list(VERDICTS.items())[:3]
+    for name, shares, text in rows:
+        parts = "".join(
+            f'<i class="part {kind}" style="width: {100 * share:.1f}%" title="{words}: {100 * share:.0f} %"></i>'
+            for share, (words, (_, kind)) in zip(shares, kinds, strict=True)
         )
-    low, high = z_range or (min(0.0, float(z.min())), max(0.0, float(z.max())))
-    marks = ticks(low, high, 4)
-    return {
-        "z": z.tolist(),
-        "texts": [[number(v) for v in row] for row in z],
-        "rows": [str(row) for row in rows],
-        "columns": [str(column) for column in columns],
-        "colours": [LOOKS.get(str(column), LOOKS["move"]).index for column in columns],
-        "ticks": marks,
-        "tickTexts": [number(mark) for mark in marks],
-        "label": z_label,
-        "turn": -0.6,
-        "tilt": 0.5,
-    }
+        body.append(_row(name, parts, text))
+    key = "".join(f'<span class="{kind}">{sign} {words}</span>' for words, (sign, kind) in kinds)
+    return _rows(body, f'<div class="key">{key}</div>', "")
 
 
-def bars_svg(scene: Mapping[str, Any]) -> str:
-    """The scene as SVG, orthographic. ``report.js`` has the same drawing; keep the two alike."""
-    n, m = len(scene["rows"]), len(scene["columns"])
-    low, high = scene["ticks"][0], scene["ticks"][-1]
-    depth = max(n, 0.5 * m)  # rows are spread, so that two of them do not look like a wall
-    cos_t, sin_t = math.cos(scene["turn"]), math.sin(scene["turn"])
-    cos_e, sin_e = math.cos(scene["tilt"]), math.sin(scene["tilt"])
-    unit = 370 / math.hypot(m, depth)
-
-    def project(x: float, y: float, z: float) -> tuple[float, float]:
-        """Floor coordinates in cells from the centre, height in the data's unit; to the picture."""
-        across, away = x * cos_t - y * sin_t, x * sin_t + y * cos_t
-        up = (z - low) / (high - low) * 150
-        return 240 + across * unit, 222 + away * unit * sin_e - up * cos_e
-
-    def points(corners: Sequence[tuple[float, float, float]]) -> str:
-        return " ".join(f"{a:.1f},{b:.1f}" for a, b in (project(*corner) for corner in corners))
-
-    w, d = m / 2, depth / 2
-    floor = [(-w, -d, low), (w, -d, low), (w, d, low), (-w, d, low)]
-    parts = [f'<polygon class="floor" points="{points(floor)}"/>']
-    # walls and the ruler stand on the far sides
-    side_x, side_y = (-w if sin_t > 0 else w), (-d if cos_t > 0 else d)
-    for mark, text in zip(scene["ticks"], scene["tickTexts"], strict=True):
-        wall = [(-side_x, side_y, mark), (side_x, side_y, mark), (side_x, -side_y, mark)]
-        parts.append(f'<polyline class="grid" points="{points(wall)}"/>')
-        a, b = project(*wall[0]) if project(*wall[0])[0] < project(*wall[2])[0] else project(*wall[2])
-        parts.append(f'<text class="tick end" x="{a - 6:.1f}" y="{b + 4:.1f}">{escape(text)}</text>')
-    places = [(j - w + 0.5, (i + 0.5) * depth / n - d, i, j) for i in range(n) for j in range(m)]
-    for x, y, i, j in sorted(places, key=lambda p: p[0] * sin_t + p[1] * cos_t):
-        parts.append(_bar(scene, x, y, i, j, points, sin_t, cos_t))
-    for j, name in enumerate(scene["columns"]):
-        a, b = project(j - w + 0.5, -side_y * 1.18, low)
-        parts.append(f'<text class="tick mid" x="{a:.1f}" y="{b + 10:.1f}">{escape(name)}</text>')
-    for i, name in enumerate(scene["rows"]):
-        a, b = project(-side_x * 1.06, (i + 0.5) * depth / n - d, low)
-        anchor = "start" if project(-side_x, 0, low)[0] > 240 else "end"
-        parts.append(f'<text class="tick {anchor}" x="{a:.1f}" y="{b + 10:.1f}">{escape(name)}</text>')
-    parts.append(f'<text class="label start" x="8" y="16">{escape(scene["label"])}</text>')
-    return "".join(parts)
+def _row(name: str, drawn: str, text: str) -> str:
+    return (
+        f'<tr><th scope="row">{escape(name)}</th><td><div class="track">{drawn}</div></td><td>{escape(text)}</td></tr>'
+    )
 
 
-def _bar(scene: Mapping[str, Any], x: float, y: float, i: int, j: int, points: Any, sin_t: float, cos_t: float) -> str:
-    r = 0.32
-    base, top = sorted((max(0.0, scene["ticks"][0]), scene["z"][i][j]))
-    near_x, near_y = x + (r if sin_t > 0 else -r), y + (r if cos_t > 0 else -r)
-
-    def upright(a: tuple[float, float], b: tuple[float, float]) -> list[tuple[float, float, float]]:
-        return [(*a, base), (*b, base), (*b, top), (*a, top)]
-
-    faces = {
-        "side": upright((near_x, y - r), (near_x, y + r)),
-        "front": upright((x - r, near_y), (x + r, near_y)),
-        "top": [(x - r, y - r, top), (x + r, y - r, top), (x + r, y + r, top), (x - r, y + r, top)],
-    }
-    title = f"{scene['rows'][i]}, {scene['columns'][j]}: {scene['texts'][i][j]}"
-    shapes = "".join(f'<polygon class="{name}" points="{points(c)}"/>' for name, c in faces.items())
-    return f'<g class="bar c{scene["colours"][j]}"><title>{escape(title)}</title>{shapes}</g>'
+def _rows(body: Sequence[str], scale: str, label: str) -> str:
+    under = f'<tr class="under"><td>{escape(label)}</td><td>{scale}</td><td></td></tr>'
+    return f'<table class="rows"><tbody>{"".join(body)}{under}</tbody></table>'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from tasklift.learning.chances import CHOICE_STAGE
 from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.learner import MOST_TRIALS
 from tasklift.plans.read import load_building
-from tasklift.report import pictures
+from tasklift.report.charts import Mark, Row
 from tasklift.report.page import Report
 from tasklift.studies import report
 from tasklift.studies.arms import Setup, expert, searching
@@ -79,6 +80,7 @@ def team(
     TaskliftError
         Before anything is trained or overwritten.
     """
+    since = time.monotonic()
     place = load_building(building)
     number(ready, "ready", 0.0, 1.0, above=True)
     whole_number(practice, "practice", 400, MOST_TRIALS)
@@ -112,11 +114,11 @@ def team(
         ]  # fmt: skip
         verdict = _verdict(rows, ready)
         page = Report(f"Teams for {place.name}")
-        page.verdict(verdict)
-        picture, _ = pictures.save(_figure(rows, ready), folder / "figures", "teams")
-        page.figure(picture, "Share of episodes solved, by the number of weapon robots.")
+        page.headline(f"{verdict[0].upper()}{verdict[1:]}.")
+        tried = [Row(row[0], [Mark(row[3], slug=row[2])], f"{row[4]} steps, {row[5]} lost per 100") for row in rows]
+        page.rows(tried, title="Episodes solved, by team (scouts+weapon robots)", label="%", within=(0, 100))
         page.table(HEADERS, rows, caption=f"{JUDGED} fresh episodes each, hostiles placed afresh")
-        report.add_settings(page, store, command)
+        report.add_settings(page, store, command, since)
         page.write(folder / "report.html")
     return [*(_line(row) for row in [HEADERS, *rows]), verdict], folder / "report.html"
 
@@ -158,21 +160,3 @@ def judged(mission: Mission, practice: int) -> dict[str, Any]:
     best = int(np.lexsort((steps, lost, -np.round(solved, 2)))[0])
     figures = {"solved": float(solved[best]), "lost": float(lost[best]), "steps": float(steps[best])}
     return {"by": list(policies)[best]} | figures
-
-
-@pictures.styled
-def _figure(rows: Sequence[Sequence[Any]], ready: float) -> Any:
-    figure = pictures.page(6.0, 3.4)
-    axes = figure.subplots()
-    by_scouts: dict[int, list[tuple[int, float]]] = {}
-    for row in rows:
-        scouts, weapons = (int(n) for n in row[0].split("+"))
-        by_scouts.setdefault(scouts, []).append((weapons, row[3]))
-    for scouts, points in by_scouts.items():
-        axes.plot(*zip(*points, strict=True), marker="o", label=f"{scouts} scouts")
-    axes.axhline(100 * ready, color="0.5", linewidth=0.8, linestyle="--")
-    axes.set_xlabel("weapon robots")
-    axes.set_ylabel("episodes solved (%)")
-    axes.set_ylim(-3, 103)
-    axes.legend()
-    return figure

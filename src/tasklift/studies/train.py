@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,10 +20,10 @@ from tasklift.files import output_folder
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import export
 from tasklift.learning.chances import CHOICE_STAGE
-from tasklift.learning.reinforcement import Fixed
+from tasklift.learning.reinforcement import Fixed, Reinforcement
 from tasklift.plans.read import load_building
 from tasklift.report import pictures
-from tasklift.report.page import Report
+from tasklift.report.page import Link, Number, Report
 from tasklift.studies import report
 from tasklift.studies.arms import PRACTICE, Arm
 from tasklift.studies.certify import Certified, certify, quantile_bound
@@ -84,6 +85,7 @@ def train(
     out: Path | None = None,
     command: str = "",
     progress: Progress | None = None,
+    play: report.Play | None = None,
     **engine: Any,
 ) -> tuple[list[str], Path]:
     """Train arms on one building, and hand over the best policy if it is ready.
@@ -112,6 +114,8 @@ def train(
         The line that runs this again, for the report.
     progress, engine
         As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
+    play
+        Writes replays beside the report, which its tables link to; None: there are none.
 
     Returns
     -------
@@ -123,6 +127,7 @@ def train(
     TaskliftError
         Before anything is trained or overwritten.
     """
+    since = time.monotonic()
     place = load_building(building)
     rules = PRESETS[one_of(preset, list(PRESETS), "preset")]
     number(ready, "ready", 0.0, 1.0, above=True)
@@ -146,17 +151,19 @@ def train(
         price = {slug: _price(study, preset, building.stem, slug) for slug in arms}
         place.save(folder / "building.json")
         _save_points(found, ready, folder / "policies")
-        asked = {"team": team, "hostiles": (hostiles,), "weapons_needed": weapons_needed, "limit": limit}
+        asked: dict[str, Any] = {"team": team, "hostiles": (hostiles,), "limit": limit}
+        asked |= {"weapons_needed": weapons_needed, "preset": preset}
         best = chosen(found)
-        best, made = _handed_over(best, ready, folder, asked | {"preset": preset})
+        best, made = _handed_over(best, ready, folder, asked)
         if made is not None:
             lines = [headline(made, best, mission, price[best.arm.slug])]
         else:
             lines = _not_ready(best, mission, ready, folder, progress)
         lines += comparison(found, samples, price, best)
         path = folder / "report.html"
-        page = _report(mission, samples, found, price, study.arms, ready, lines, preset, folder)
-        report.add_settings(page, store, command)
+        links = _replays(found, mission, folder, play)
+        page = _report(mission, samples, found, price, study.arms, ready, lines, preset, folder, links, made)
+        report.add_settings(page, store, command, since)
         page.write(path)
     return lines, path
 
@@ -176,6 +183,20 @@ def _handed_over(
         return best, made
     n = counts.episodes
     return replace(best, solved=counts.solved / n, lost=counts.lost / n, steps=counts.steps / n), None
+
+
+def _replays(found: Sequence[Candidate], mission: Mission, folder: Path, play: report.Play | None) -> dict[str, Link]:
+    """Write a replay of the best policy of each arm in a fresh episode; return the links by slug."""
+    links = {}
+    for arm in {c.arm.slug: c.arm for c in found}.values() if play else ():
+        assert play is not None
+        best = chosen([c for c in found if c.arm is arm])
+        trace = mission.simulator.trace(best.policy, stage=CHOICE_STAGE, reinforcement=Reinforcement(), learn=False)
+        (folder / "replays").mkdir(exist_ok=True)
+        play(f"{mission.building.name}: {arm.label}, a fresh episode", [(arm.label, trace)],
+             folder / "replays" / f"{arm.slug}.html")  # fmt: skip
+        links[arm.slug] = Link("▶ an episode", f"replays/{arm.slug}.html")
+    return links
 
 
 def _not_ready(best: Candidate, mission: Mission, ready: float, folder: Path, progress: Progress | None) -> list[str]:
@@ -326,6 +347,24 @@ def frontier_figure(found: Sequence[Candidate], ready: float) -> Any:
     return figure
 
 
+def numbers(best: Candidate, certificate: Certified | None, mission: Mission) -> list[Number]:
+    """Return the headline's numbers: the share solved, robots lost, steps."""
+    taken = best.steps if certificate is None else certificate.counts.steps / certificate.counts.episodes
+    steps = Number(f"{taken:.0f}", "", f"steps per episode; at least {least_steps(mission)} are needed")
+    if certificate is None:
+        return [Number(_percent(best.solved), "", f"of {CHOICE_EPISODES} fresh episodes solved, by the best policy"),
+                Number(f"{100 * best.lost:.1f}", "", "robots lost per 100 episodes"), steps]  # fmt: skip
+    counts, bounds = certificate.counts, certificate.bounds
+    sure = f"{100 * certificate.confidence:g} % sure"
+    return [
+        Number(_percent(counts.solved / counts.episodes), f"at least {_percent(bounds.solved_at_least)}",
+               f"of {counts.episodes:,} fresh episodes solved ({sure})"),
+        Number(f"{100 * counts.lost / counts.episodes:.2f}", f"at most {bounds.lost_per_100_at_most:.2f}",
+               f"robots lost per 100 episodes ({sure})"),
+        steps,
+    ]  # fmt: skip
+
+
 def _report(
     mission: Mission,
     samples: Mapping[str, Sample],
@@ -336,31 +375,50 @@ def _report(
     lines: Sequence[str],
     preset: str,
     folder: Path,
+    links: Mapping[str, Link],
+    certificate: Certified | None,
 ) -> Report:
-    page = Report(f"Training on {mission.building.name}")
-    page.verdict(*lines)
-    picture, _ = pictures.save(frontier_figure(found, ready), folder / "figures", "frontier")
+    page, best = Report(f"Training on {mission.building.name}"), chosen(found)
+    cost = price[best.arm.slug]
+    says = (f"`policy.json` is ready: {best.arm.label} made it from {cost.safe:,} safe and {cost.dangerous:,} "
+            "dangerous episodes.")  # fmt: skip
+    page.headline(says if certificate else f"No policy is ready: {_percent(ready)} of episodes must be solved.",
+                  numbers(best, certificate, mission))  # fmt: skip
+    (folder / "figures").mkdir(exist_ok=True)
+    _, picture = pictures.save(frontier_figure(found, ready), folder / "figures", "frontier")
     page.figure(picture, "Speed against safety: every policy learned, larger where it solves more. Each point of the "
                 "frontier is a file in `policies/`.")  # fmt: skip
+    if certificate is None:
+        page.verdict(*lines)
+    page.section("Methods")
+    slugs = dict.fromkeys(c.arm.slug for c in found)
+    best_of = {slug: chosen([c for c in found if c.arm.slug == slug]) for slug in slugs}
     least = least_steps(mission)
-    headers = ["arm", "seed", "solved (%)", "robots lost per 100", "steps", "times the least", "safe episodes",
-               "dangerous episodes"]  # fmt: skip
-    rows = [
-        [c.arm.label, c.seed, round(100 * c.solved, 1), round(100 * c.lost, 1), round(c.steps),
-         round(c.steps / least, 1), price[c.arm.slug].safe, price[c.arm.slug].dangerous]
-        for c in found
-    ]  # fmt: skip
-    page.table(headers, rows, caption=f"Policies in {CHOICE_EPISODES} fresh episodes, hostiles placed afresh; no "
-               f"policy can take fewer than {least} steps")  # fmt: skip
-    picture, _ = pictures.save(figures.figure1(mission.building), folder / "figures", "building")
-    page.figure(picture, "The building as a plan and as its graph.")
+    headers = ["method", "solved (%)", "robots lost per 100", "steps", "times the least", "safe episodes",
+               "dangerous episodes", "play"]  # fmt: skip
+    page.table(headers, [[*_row(c, price, least), links.get(slug)] for slug, c in best_of.items()],
+               caption=f"The best policy of each method in {CHOICE_EPISODES} fresh episodes, hostiles placed afresh. "
+               f"No policy can take fewer than {least} steps")  # fmt: skip
+    with page.fold("What learning cost, in words"):
+        page.bullets(lines)
+    with page.fold("Every policy, by seed"):
+        rows = [[c.arm.label, c.seed, *_row(c, price, least)[1:]] for c in found]
+        page.table(["method", "seed", *headers[1:-1]], rows)
     report.add_arms(page, samples, arms)
-    page.table(*report.arm_table(samples, arms), caption=f"While learning on T, preset **{preset}**")
-    page.section("Learning curves")
-    report.add_curves(page, samples, preset, arms)
-    page.section("Stop or move, by the feature faced")
-    for arm in indirect(samples, arms):
-        report.add_move_weights(page, samples[arm], arms[arm].label)
-    page.section("The ledger: what was spent and lost, by stage")
-    page.table(report.LEDGER_HEADERS, report.ledger_rows(samples, arms), caption="Per seed")
+    page.section("While they learned on the dangerous task T")
+    report.add_curves(page, samples, preset, arms, ("steps", "robots_left"))
+    with page.fold("Means while learning, and what was spent and lost by stage"):
+        page.table(*report.arm_table(samples, arms), caption=f"On T, preset **{preset}**")
+        page.table(report.LEDGER_HEADERS, report.ledger_rows(samples, arms), caption="Per seed")
+    with page.fold("Stop or move, by the feature faced"):
+        for arm in indirect(samples, arms):
+            report.add_move_weights(page, samples[arm], arms[arm].label)
+    with page.fold("The building as a plan and as its graph"):
+        page.figure(pictures.save(figures.figure1(mission.building), folder / "figures", "building")[1])
     return page
+
+
+def _row(c: Candidate, price: Mapping[str, Price], least: int) -> list[Any]:
+    cost, steps = price[c.arm.slug], round(c.steps)
+    measured = [round(100 * c.solved, 1), round(100 * c.lost, 1), steps, round(c.steps / least, 1)]
+    return [c.arm.label, *measured, cost.safe, cost.dangerous]

@@ -16,6 +16,7 @@ import os
 import zlib
 from collections.abc import Sequence
 from html import escape
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,8 +44,7 @@ class Replay(dict[str, Any]):
     """A replay document; in a notebook it plays."""
 
     def _repr_html_(self) -> str:
-        from tasklift.watch.html import page
-
+        page = import_module("tasklift.watch.html").page  # by name, since the page imports this module
         return f'<iframe srcdoc="{escape(page(self))}" width="100%" height="640" title="Replay"></iframe>'
 
     def __repr__(self) -> str:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from tasklift.files import write_atomically
 from tasklift.report.charts import data_block, escape
 from tasklift.style import GROUND, SCENE, css
+from tasklift.watch.document import replay
+
+if TYPE_CHECKING:
+    from tasklift.building.simulator import Trace
 
 _HERE = Path(__file__).parent / "page"
 #: One script, in this order: what a replay means, how it is drawn, what people do with it
@@ -38,6 +43,11 @@ def page(document: Mapping[str, Any]) -> str:
         name, _, text = chunk.partition("}}")
         pieces += [parts[name], text]
     return "".join(pieces)
+
+
+def write(title: str, traces: Sequence[tuple[str, Trace]], path: Path) -> None:
+    """Write the page that plays labelled traces; reports link to such pages."""
+    write_atomically(path, page(replay(list(traces), title)))
 
 
 def _part(name: str) -> str:

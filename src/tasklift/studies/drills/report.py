@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,193 +16,45 @@ from tasklift.files import output_folder, read_text, write_atomically
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import Table
 from tasklift.report import pictures
-from tasklift.report.page import Report
+from tasklift.report.charts import Row, Series
+from tasklift.report.page import Link, Number, Report
 from tasklift.studies.arms import ARMS, COUNTED, LOSS_SIGNAL, SELECTIONS, SPENT_BEFORE
+from tasklift.studies.drills.contrasts import (
+    MARGIN,
+    Contrast,
+    Tables,
+    after_holm,
+    contrasts,
+    times_fewer,
+    with_hostiles,
+)
 from tasklift.studies.drills.study import amounts, choosing, main_arms, starts, study, variants
-from tasklift.studies.report import add_arms, add_settings, markdown_table
+from tasklift.studies.report import (
+    Play,
+    add_arms,
+    add_replays,
+    add_settings,
+    large,
+    mark_of,
+    markdown_table,
+    mean_of,
+    smoothed,
+    too_few,
+)
 from tasklift.studies.samples import Floats, Sample
 from tasklift.studies.study import Study
+from tasklift.text import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: T is solved "at least as often" if the share of trials that succeed is not lower, and is shown not to be lower by
-#: this much. Whole runs fail or succeed: with 600 the interval is about ± 2.5 points wide.
-MARGIN = 0.05
 #: A variant of drilling is admitted if it loses at most this share of what drills as they are lose.
 ADMITTED = 0.1
 BEGIN, END = "<!-- results of `tasklift drills` -->", "<!-- end of results -->"
 
-Tables = dict[str, list["Contrast"]]
-
-
-def with_hostiles(number: int) -> str:
-    """Return a number of hostiles in words."""
-    return f"{number} hostile{'s' if number > 1 else ''}"
-
-
-@dataclass(frozen=True)
-class Against:
-    """An arm's 100 trials on T against some of direct learning's.
-
-    Attributes
-    ----------
-    lost, solved
-        Direct's robots lost per run, and its share of trials that succeed.
-    fewer
-        How many times as many robots direct loses, with its interval; the verdict asks that the arm loses fewer *and*
-        solves T at least as often (:data:`MARGIN`).
-    difference
-        Share of trials solved, the arm's less direct's.
-    """
-
-    lost: float
-    solved: float
-    fewer: stats.Comparison
-    difference: stats.Comparison
-
-    @classmethod
-    def of(cls, arm: Sample, losses: Floats, success: Floats, **options: Any) -> Against:
-        """Compare an arm's losses on T with direct's losses, and its successes with those of direct's last 100."""
-        lost, direct = arm.losses.sum(axis=1), losses.sum(axis=1)
-        solved, direct_solved = arm.success.mean(axis=1), success.mean(axis=1)
-        fewer = stats.ratio(direct, lost, better="greater", strata=arm.maps, **options)
-        less = stats.compare(solved, direct_solved, better="greater", strata=arm.maps, **options)
-        as_often = stats.compare(
-            solved, direct_solved, better="greater", reference=-MARGIN, strata=arm.maps, **options
-        )
-        if fewer.favours and less.estimate >= 0:
-            found = replace(fewer, p=max(fewer.p, as_often.p if as_often.favours else 1.0))
-        else:  # more lost, or solved less often: whichever is shown
-            against = [1.0 if one.favours else one.p for one in (fewer, less)]
-            found = replace(fewer, p=min(1.0, 2 * min(against)), favours=False)
-        return cls(float(direct.mean()), float(success.mean()), found, less)
-
-
-@dataclass(frozen=True)
-class Contrast:
-    """An arm against direct learning with the same signals and selection, after arrival on T.
-
-    Attributes
-    ----------
-    hostiles, arm, n
-        Which; pairs of runs.
-    safe, dangerous
-        Trials that each costs: safe ones (V's traversals and drills), and the arm's on T.
-    lost, solved, steps
-        The arm's on T: robots lost per run, share of trials that succeed, mean steps.
-    first
-        Against direct's first trials on T, as many as the arm's: for both they are the first where it is dangerous.
-    last
-        Against direct's last trials on T, as many: direct has learned on T for as long as the arm drilled.
-    everything
-        Against all of direct's trials, as many as the arm's of every kind.
-    would_be
-        Losses in drills per run.
-    """
-
-    hostiles: int
-    arm: str
-    n: int
-    safe: int
-    dangerous: int
-    lost: float
-    solved: float
-    steps: float
-    first: Against
-    last: Against
-    everything: Against
-    would_be: float | None
-
-    @property
-    def holds(self) -> bool:
-        """Whether the arm loses fewer robots both against direct's first and its last trials on T."""
-        return self.first.fewer.verdict == self.last.fewer.verdict == "holds"
-
-
-def contrast(arm: Sample, direct: Sample, *, name: str, hostiles: int, **options: Any) -> Contrast:
-    """Compare two arms that share maps and seeds row by row; direct must have run as many trials in total.
-
-    Parameters
-    ----------
-    arm, direct
-        What they did.
-    name
-        Slug of the arm.
-    hostiles
-        How many.
-    options
-        ``seed`` and ``resamples``, as in :func:`tasklift.stats.compare`.
-
-    Raises
-    ------
-    TaskliftError
-        If direct has fewer trials, or the two are not paired.
-    """
-    total, own = arm.total, arm.losses.shape[1]
-    if direct.losses.shape[1] < total or not arm.paired_with(direct):
-        raise TaskliftError(f"{name}: direct learning has {direct.losses.shape} trials, expected {total} paired ones")
-    last = direct.success[:, total - own : total]
-    return Contrast(
-        hostiles=hostiles,
-        arm=name,
-        n=len(arm.losses),
-        safe=total - own,
-        dangerous=own,
-        lost=float(arm.losses.sum(axis=1).mean()),
-        solved=float(arm.success.mean()),
-        steps=float(arm.steps.mean()),
-        first=Against.of(arm, direct.losses[:, :own], direct.success[:, :own], **options),
-        last=Against.of(arm, direct.losses[:, total - own : total], last, **options),
-        everything=Against.of(arm, direct.losses[:, :total], last, **options),
-        would_be=None if arm.would_be is None else float(arm.would_be.sum(axis=1).mean()),
-    )
-
-
-def contrasts(store: Store, arms: Sequence[str], **options: Any) -> list[Contrast]:
-    """Compare every arm of the store that is named with the direct learning it is judged against, by hostiles."""
-    there = {(int(cell["hostiles"]), cell["arm"]) for cell in store.done()}
-    numbers = sorted({hostiles for hostiles, _ in there})
-    found = []
-    for arm in arms:
-        (reference,) = ARMS[arm].against
-        for hostiles in numbers:
-            if {(hostiles, arm), (hostiles, reference)} <= there:
-                first, second = (Sample.of(store, slug, hostiles=str(hostiles)) for slug in (arm, reference))
-                found.append(contrast(first, second, name=arm, hostiles=hostiles, **options))
-    return found
-
-
-def after_holm(tables: Tables) -> Tables:
-    """Return the tables with p-values, and so verdicts, for all of them together (Holm 1979)."""
-    asked = [getattr(c, name) for of in tables.values() for c in of for name in _AGAINST]
-    found = iter(stats.after_holm([one.fewer for one in asked]))
-    return {
-        title: [
-            replace(c, **{name: replace(getattr(c, name), fewer=next(found)) for name in _AGAINST}) for c in of
-        ]
-        for title, of in tables.items()
-    }
-
-
-_AGAINST = ("first", "last", "everything")
-
-
-def times(ratio: float) -> str:
-    """Return how many times as many, in two or three digits."""
-    return f"{ratio:,.0f}" if ratio >= 99.5 else f"{ratio:.2g}" if ratio >= 9.95 else f"{ratio:.1f}"
-
-
-def times_fewer(found: stats.Comparison) -> str:
-    """Return ``"12 [10, 14]"``: direct's losses over the arm's, with its interval; below 1, the arm loses more."""
-    interval = found.interval
-    if not np.isfinite(interval.estimate):
-        return "none lost"
-    if np.isfinite(interval.high):
-        return f"{times(interval.estimate)} [{times(max(interval.low, 0.0))}, {times(interval.high)}]"
-    bound = f"at least {times(interval.low)}" if np.isfinite(interval.low) else "no interval"
-    return f"{times(interval.estimate)} ({bound})"
+#: By slug and number of hostiles.
+Links = Mapping[tuple[str, int], Link | None]
 
 
 HEADERS = (
@@ -399,6 +252,7 @@ def drills(
     page: Path | None = None,
     command: str = "",
     progress: Progress | None = None,
+    play: Play | None = None,
     **engine: Any,
 ) -> tuple[list[str], Path]:
     """Measure drills; return the headline, a line per arm, and the path of ``report.html``.
@@ -415,6 +269,8 @@ def drills(
         The line that runs this again, for the report.
     progress, engine
         As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
+    play
+        Writes replays beside the report, which its tables link to; None: there are none.
 
     Raises
     ------
@@ -423,21 +279,25 @@ def drills(
     """
     if page is not None:
         paste("", page, write=False)  # refuses before the work what cannot take the results
+    since = time.monotonic()
     plan, folder = study(maps=maps, seeds=seeds, hostiles=hostiles), output_folder(out, (FILE_NAME,))
     with Store.open(folder / FILE_NAME, plan.spec("drills")) as store:
         run(store, plan.cells(), plan.work, progress=progress, **engine)
         tables = _tables(store)
         main = next(iter(tables.values()))
         says = headline(main)
+        lines = [line.replace("**", "") for line in (in_a_sentence(main), *says)]
         drawn = figure(store, main, 3 if 3 in hostiles else hostiles[0])
-        picture, _ = pictures.save(drawn, folder, "drills")
+        pictures.save(drawn, folder, "drills")
         text = markdown(says, tables, plan)
         write_atomically(folder / "drills.md", text)
-        _report(says, tables, plan, picture, store, command).write(folder / "report.html")
+        written = _report(says, tables, plan, store, _replays(plan, main, folder, play))
+        add_settings(written, store, command, since)
+        written.write(folder / "report.html")
     if page is not None:
         paste(text, page)
         pictures.save(drawn, output_folder(page.parent / "pictures"), "drills")
-    return says, folder / "report.html"
+    return lines, folder / "report.html"
 
 
 def _tables(store: Store) -> Tables:
@@ -490,26 +350,113 @@ def paste(text: str, page: Path, *, write: bool = True) -> None:
         write_atomically(page, f"{before}{BEGIN}\n\n{text}\n{END}{after}")
 
 
-def _report(
-    says: Sequence[str], tables: Tables, plan: Study, picture: Path, store: Store, command: str
-) -> Report:
-    report = Report("Drills: practice against hostiles that repel")
-    report.paragraph(
-        "A drill keeps all of the task T, but its hostiles repel instead of destroying: nobody is lost while robots "
-        "learn what would lose them. Every arm is compared with direct learning with the same loss signal "
-        f"({LOSS_SIGNAL}) and the same selection rule on T: after arrival there, with direct's first trials and with "
-        "its last, as many as the arm's. Direct learning has one more trial on T for every drill and traversal of V."
+def _replays(plan: Study, found: Sequence[Contrast], folder: Path, play: Play | None) -> Links:
+    """Write a replay per contrast and its direct learning, on the first map with the first seed; return the links."""
+    asked = {(arm, c.hostiles) for c in found for arm in (c.arm, *ARMS[c.arm].against)}
+    first = plan.parts[0]
+    cells = {at: plan.cell(str(at[1]), first.maps[0], first.seeds[0], at[0]) for at in sorted(asked)}
+    links = add_replays(plan, folder, cells.values(), play)
+    return {at: links[cell] for at, cell in cells.items()}
+
+
+def in_a_sentence(found: Sequence[Contrast]) -> str:
+    """Say in one sentence what the arm that loses fewest robots is worth, with the fewest hostiles."""
+    one = _best(found)
+    verdict = {"holds": "Practice saves robots", "does not hold": "Practice does not save robots, or costs successes"}
+    return (
+        f"{verdict.get(one.first.fewer.verdict, 'Whether practice saves robots is undecided')}: after {one.safe} safe "
+        f"episodes, {one.dangerous} dangerous ones cost **{number(one.lost, 3)} robots**; learning from scratch loses "
+        f"{number(one.first.lost, 3)} in as many and {number(one.everything.lost, 3)} in as many of both kinds."
     )
-    report.verdict(*says).paragraph(_scale(plan))
-    report.figure(picture, "Means with 95 % intervals. Would-be losses lose nobody: they are what drills teach with.")
+
+
+def _best(found: Sequence[Contrast]) -> Contrast:
+    """Return the contrast with the fewest hostiles whose arm loses the fewest robots in all."""
+    total = {c.arm: sum(one.lost for one in found if one.arm == c.arm) for c in found}
+    return min(found, key=lambda c: (total[c.arm], c.hostiles))
+
+
+def _numbers(found: Sequence[Contrast]) -> list[Number]:
+    one = _best(found)
+    where = f"({ARMS[one.arm].label}, {with_hostiles(one.hostiles)})"
+    solved = one.last.difference.interval
+    points = stats.Interval(100 * solved.estimate, 100 * solved.low, 100 * solved.high, solved.confidence, solved.n)
+    return [
+        _times(one.first.fewer, f"times fewer robots lost than by direct's first {one.dangerous} episodes {where}"),
+        _times(one.last.fewer, f"times fewer than by its last {one.dangerous}, after {one.safe} more dangerous ones"),
+        large(points, f"points more episodes solved than by direct's last {one.dangerous}"),
+    ]
+
+
+def _times(found: stats.Comparison, label: str) -> Number:
+    value, _, rest = times_fewer(found).partition(" ")
+    return Number("∞", "the arm lost none", label) if value == "none" else Number(value, rest, label)
+
+
+def _lost(store: Store, found: Sequence[Contrast]) -> Iterator[tuple[int, list[Row]]]:
+    """Yield for each number of hostiles a row per arm: robots lost per run, in its episodes on T."""
+    for hostiles in dict.fromkeys(c.hostiles for c in found):
+        rows = []
+        for arm in dict.fromkeys(arm for c in found for arm in (*ARMS[c.arm].against, c.arm)):
+            sample = Sample.of(store, arm, hostiles=str(hostiles))
+            lost = mean_of(sample, sample.losses.sum(axis=1))
+            text = f"in {sample.losses.shape[1]}; {100 * sample.success[:, -COUNTED:].mean():.0f} % solved"
+            rows.append(Row(ARMS[arm].label, [mark_of(lost, arm)], text))
+        yield hostiles, rows
+
+
+def _report(says: Sequence[str], tables: Tables, plan: Study, store: Store, links: Links) -> Report:
+    report, main = Report("Drills: practice against hostiles that repel"), next(iter(tables.values()))
+    report.headline(in_a_sentence(main), _numbers(main))
+    too_few(report, [one.fewer for c in main for one in (c.first, c.last)])
+    for k, (hostiles, lost) in enumerate(_lost(store, main)):
+        with report.fold(with_hostiles(hostiles)) if k else nullcontext():
+            ends = [end for row in lost for mark in row.marks for end in (mark.at, mark.high)]
+            most = max(end for end in ends if np.isfinite(end))
+            report.rows(lost, title=f"Robots lost per run, {with_hostiles(hostiles)}", label="robots", within=(0, most))
+    report.section("By number of hostiles")
+    report.table(*_at_a_glance(main, links), caption="Fewer: direct's losses over the arm's; below 1, the arm loses "
+                 "more. ✓ also asks that the full task T is solved at least as often.")  # fmt: skip
+    report.paragraph(_scale(plan))
+    with report.fold("In words"):
+        report.verdict(*says)
+        report.paragraph(
+            "A drill keeps all of the task T, but its hostiles repel instead of destroying: nobody is lost while "
+            "robots learn what would lose them. Every arm is compared with direct learning with the same loss signal "
+            f"({LOSS_SIGNAL}) and the same selection rule on T: after arrival there, with direct's first trials and "
+            "with its last, as many as the arm's. Direct learning has one more trial on T for every drill and "
+            "traversal of V."
+        )
+    report.section("Learning curves")
+    report.curves(_learning(store, main), title=f"Robots lost per episode, {with_hostiles(main[0].hostiles)}",
+                  x_label="episode (trial), the safe ones included", y_label="robots lost", caption="Running means of "
+                  "10. A line begins where its method meets the dangerous task; before, nobody is lost.")  # fmt: skip
+    report.section("All comparisons")
     for title, found in tables.items():
         if found:
-            report.section(f"{title[0].upper()}{title[1:]}")
-            report.table(
-                HEADERS,
-                rows(found),
-                caption="Times fewer: direct's losses over the arm's; below 1, the arm loses more.",
-            )
+            with report.fold(f"{title[0].upper()}{title[1:]}"):
+                report.table(HEADERS, rows(found))
     add_arms(report, dict.fromkeys(arm for part in plan.parts for arm in part.arms))
-    add_settings(report, store, command)
     return report
+
+
+def _learning(store: Store, found: Sequence[Contrast]) -> list[Series]:
+    """Return robots lost per dangerous episode of each arm, with the fewest hostiles."""
+    series = []
+    for arm in dict.fromkeys(arm for c in found for arm in (*ARMS[c.arm].against, c.arm)):
+        sample = Sample.of(store, arm, hostiles=str(found[0].hostiles))
+        before = sample.total - sample.losses.shape[1]
+        series.append(smoothed(sample.losses, sample.maps, ARMS[arm], most=sample.n_robots, before=before))
+    return series
+
+
+def _at_a_glance(found: Sequence[Contrast], links: Links) -> tuple[list[str], list[list[Any]]]:
+    headers = ["method", "hostiles", "fewer than direct's first", "", "fewer than direct's last", "", "play", "direct"]
+    body: list[list[Any]] = []
+    for c in found:
+        (reference,) = ARMS[c.arm].against
+        body.append(
+            [ARMS[c.arm].label, c.hostiles, times_fewer(c.first.fewer), c.first.fewer.says, times_fewer(c.last.fewer),
+             c.last.fewer.says, links[c.arm, c.hostiles], links[reference, c.hostiles]]
+        )  # fmt: skip
+    return headers, body

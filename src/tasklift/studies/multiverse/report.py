@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift import stats
 from tasklift.files import output_folder
 from tasklift.lab import FILE_NAME, Progress, Store, run
-from tasklift.report.page import Report
+from tasklift.report.page import Number, Report
 from tasklift.report.pictures import save, styled
 from tasklift.studies.arms import ARMS as ALL_ARMS
 from tasklift.studies.claims import CLAIMS
@@ -31,7 +33,7 @@ from tasklift.studies.multiverse.study import (
     main_effects,
     study,
 )
-from tasklift.studies.report import add_settings, write_csv
+from tasklift.studies.report import add_settings, large, write_csv
 from tasklift.studies.samples import Floats
 from tasklift.studies.study import Study, generated, numbered
 from tasklift.style import GROUND, SERIES
@@ -44,7 +46,7 @@ _LABELS = {slug: ALL_ARMS[slug].label for slug in ("v", *ARMS)}
 _TITLES = {"v": "the simple task V", "direct": "direct learning alone",
            "copy": "copy against direct: the paper's indirect learning",
            "copy-prior": "copy+prior against direct"}  # fmt: skip
-_HOLDS, _OPEN, _FAILS = SERIES["blue"][0], GROUND["line"][0], SERIES["orange"][0]
+_HOLDS, _OPEN, _FAILS = (GROUND[name][0] for name in ("holds", "line", "fails"))
 _INK, _MUTED = GROUND["ink"][0], GROUND["soft"][0]
 #: A cell is at its darkest where a level moves the balance of verdicts by this much (of −1 … 1).
 _DARKEST = 0.6
@@ -61,8 +63,8 @@ def multiverse(
     command: str = "",
     progress: Progress | None = None,
     **engine: Any,
-) -> Path:
-    """Draw readings, train and judge under each, find what decides; return the path of ``report.html``.
+) -> tuple[list[str], Path]:
+    """Draw readings, train and judge under each, find what decides; return the result in a few lines, and the report.
 
     Parameters
     ----------
@@ -77,6 +79,7 @@ def multiverse(
     progress, engine
         As in :func:`tasklift.lab.run`; also its ``workers`` and ``address``.
     """
+    since = time.monotonic()
     buildings = generated(numbered(maps, "maps"))
     numbered(seeds, "seeds")  # before the design, which takes a while
     levels = draw(readings, design)
@@ -85,11 +88,13 @@ def multiverse(
     with Store.open(folder / FILE_NAME, plan.spec("multiverse of readings")) as store:
         run(store, plan.cells(), plan.work, progress=progress, **engine)
         judged = judge(store, levels, progress=progress)
-        return write_report(plan, judged, folder, store, command)
+        return write_report(plan, judged, folder, store, command, since)
 
 
-def write_report(plan: Study, judged: Judged, folder: Path, store: Store, command: str) -> Path:
-    """Write ``verdicts.csv``, ``effects.csv``, the figures and ``report.html``; return the path of the last."""
+def write_report(
+    plan: Study, judged: Judged, folder: Path, store: Store, command: str, since: float
+) -> tuple[list[str], Path]:
+    """Write ``verdicts.csv``, ``effects.csv``, the figures and ``report.html``; return the result and its path."""
     effects = main_effects(judged.verdict, judged.levels)
     write_verdicts(judged, list(plan.conditions), folder / "verdicts.csv")
     write_effects({"balance of verdicts": effects,
@@ -103,9 +108,9 @@ def write_report(plan: Study, judged: Judged, folder: Path, store: Store, comman
     }
     path = folder / "report.html"
     page = _page(plan, judged, effects, drawn)
-    add_settings(page, store, command)
+    add_settings(page, store, command, since)
     page.write(path)
-    return path
+    return [line.replace("**", "") for line in (headline(judged), *verdict_lines(judged, effects))], path
 
 
 # ---------------------------------------------------------------- numbers
@@ -222,7 +227,7 @@ def _name_lines(ax: Axes, y: Sequence[float]) -> None:
         ax.text(-1.27, y[line], claim, va="center", fontweight="bold", color=_INK, transform=place)
         ax.text(-1.05, y[line], CLAIMS[claim].short, va="center", color=_INK, transform=place)
         if arm != LINES[line - 1][1]:
-            ax.text(-1.27, y[line] - 0.95, _TITLES[arm], va="center", fontsize=8.5, color=_HOLDS, fontweight="bold",
+            ax.text(-1.27, y[line] - 0.95, _TITLES[arm], va="center", fontsize=8.5, color=_INK, fontweight="bold",
                     transform=place)  # fmt: skip
 
 
@@ -342,7 +347,7 @@ def draw_eleven(judged: Judged) -> Figure:
     ax = figure.subplots()
     rules = by_rule(judged)
     kept = judged.kept.mean(axis=1)
-    colours = [SERIES[name][0] for name in ("blue", "sky", "gold", "orange")]
+    colours = [SERIES[name][0] for name in ("violet", "pink", "gold", "grey")]  # none is an arm's here
     ax.hist([kept[rows] for rows in rules.values()], bins=np.linspace(0, 100, 41).tolist(), stacked=True,
             label=list(rules), color=colours[: len(rules)])  # fmt: skip
     ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
@@ -361,49 +366,93 @@ def draw_eleven(judged: Judged) -> Figure:
 def _page(plan: Study, judged: Judged, effects: Effects, drawn: Mapping[str, Path]) -> Report:
     n, maps, seeds = len(judged.levels), len(plan.buildings), len(plan.parts[0].seeds)
     page = Report(f"The paper's claims under {n} readings of it")
+    page.headline(headline(judged), numbers(judged))
+    page.shares(_share_rows(judged, STORY), title="Readings in which the paper's five main claims hold (%)")
+    with page.fold("The same in words, and the paper's 11 of 100"):
+        page.verdict(*verdict_lines(judged, effects))
+        page.figure(drawn["eleven"])
+    with page.fold("All claims"):
+        page.shares(_share_rows(judged, list(CLAIMS)), title=f"Share of {n} readings (%)", caption="C5b and C7b speak "
+                    "of direct learning alone, C1 and C2 of the simple task V; C10 is judged in the readings whose "
+                    "rule is exploration.")  # fmt: skip
+    page.section("What decides")
     page.paragraph(
-        "What the paper leaves open was written down as named options with alternatives. A reading takes one "
-        f"alternative of each of the {len(OPTIONS)} options; {n} were drawn so that every alternative is met equally "
-        f"often (Latin hypercube), and under each the experiment was run on {maps} maps × {seeds} seeds: direct "
-        f"learning, copy, copy+prior; {plan.trials} trials on T each."
+        "The paper leaves details open. Each became an option with alternatives, and a reading takes one alternative "
+        f"of each of the {len(OPTIONS)} options. The {n} readings meet every alternative equally often (Latin "
+        f"hypercube). Under each, direct, copy and copy+prior learned on {maps} maps × {seeds} seeds, with "
+        f"{plan.trials} episodes (trials) on T each."
     )
-    page.verdict(*verdict_lines(judged, effects))
-    page.figure(
-        drawn["multiverse"],
-        "C5b and C7b speak of direct learning alone, C1 and C2 of the simple task V; C10 is judged in the readings "
-        "whose rule is exploration.",
-    )
-    page.section("The claims, and what decides them")
+    with page.fold("Which alternatives move which claim, in one picture"):
+        page.figure(drawn["multiverse"])
+    with page.fold("The same in numbers"):
+        _decided(page, judged, effects, maps * seeds)
+    with page.fold("The selection rule"):
+        for name, among in by_rule(judged).items():
+            page.shares(_share_rows(judged, STORY, among), title=f"{name} ({among.sum()} readings, %)")
+        page.table(RULE_HEADERS, rule_rows(judged), caption="Means over the readings of a rule; greedily: the policy "
+                   "at the end, always taking its heaviest output.")  # fmt: skip
+    with page.fold("The options"):
+        page.table(
+            ["option", "of", "alternatives"],
+            [[o.name, o.of, ", ".join(o.label(k) for k in range(len(o.levels)))] for o in OPTIONS],
+        )
+    return page
+
+
+def _share_rows(
+    judged: Judged, claims: Sequence[str], among: NDArray[np.bool_] | None = None
+) -> list[tuple[str, list[float], str]]:
+    """Return for each line of these claims its name, its shares, and the shares that hold and fail in numbers."""
+    share = shares(judged, among)
+    return [
+        (f"{_LABELS[arm]}: {CLAIMS[claim].short} ({claim})", share[i].tolist(),
+         f"✓ {100 * share[i, 0]:.0f}  ✗ {100 * share[i, 2]:.0f}")
+        for i, (claim, arm) in enumerate(LINES)
+        if claim in claims
+    ]  # fmt: skip
+
+
+def _decided(page: Report, judged: Judged, effects: Effects, runs: int) -> None:
     page.paragraph(
-        f"Verdicts come from 95 % intervals over {maps * seeds} paired runs, as in the main "
-        "study; with so few runs small effects stay undecided, and where there is no effect at all, some 5 to 6 % of "
-        "the readings say that it holds and as many that it does not (measured on normal samples of 4 × 5). An effect "
-        "is the change of the balance (share that holds less share that fails, points) with an alternative against "
-        "all readings, with its 95 % bootstrap interval over readings; those listed lie below 5 % after Benjamini & "
-        "Hochberg over all claims and alternatives."
+        f"Verdicts come from 95 % intervals over {runs} paired runs, as in the main study. With so few runs small "
+        "effects stay undecided. Where there is no effect at all, some 5 to 6 % of the readings say that it holds and "
+        "as many that it does not (measured on normal samples of 4 × 5). An effect is the change of the balance "
+        "(share that holds less share that fails, points) with an alternative against all readings, with its 95 % "
+        "bootstrap interval over readings. Those listed lie below 5 % after Benjamini & Hochberg over all claims and "
+        "alternatives."
     )
     share = 100 * shares(judged)
     count = np.isfinite(judged.verdict).sum(axis=0)
     page.table(
-        ["claim", "", "arm", "readings", "holds (%)", "undecided (%)", "fails (%)", "decided by (points)"],
+        ["claim", "", "method", "readings", "holds (%)", "undecided (%)", "fails (%)", "decided by (points)"],
         [
             [claim, CLAIMS[claim].says, _LABELS[arm], int(count[i]), *share[i].round(1).tolist(), deciding(effects, i)]
             for i, (claim, arm) in enumerate(LINES)
         ],
     )
-    page.section("The selection rule")
-    page.figure(drawn["rules"], "The same shares for each selection rule on its own.")
-    page.table(RULE_HEADERS, rule_rows(judged), caption="Means over the readings of a rule; greedily: the policy at "
-               "the end, always taking its heaviest output.")  # fmt: skip
-    page.section("The paper's 11 of 100")
-    page.paragraph(eleven_line(judged))
-    page.figure(drawn["eleven"])
-    page.section("The options")
-    page.table(
-        ["option", "of", "alternatives"],
-        [[o.name, o.of, ", ".join(o.label(k) for k in range(len(o.levels)))] for o in OPTIONS],
-    )
-    return page
+
+
+def headline(judged: Judged) -> str:
+    """Say in one sentence in how many readings transfer loses fewer robots than learning from scratch."""
+    said = []
+    for arm in INDIRECT:
+        holds, _, fails = 100 * shares(judged)[LINES.index(("C6", arm))]
+        said.append(f"{_LABELS[arm]} loses **fewer robots in {holds:.0f} %** and more in {fails:.0f} %")
+    return f"Of {len(judged.levels)} readings of what the paper leaves open, {'; '.join(said)}."
+
+
+def numbers(judged: Judged) -> list[Number]:
+    """Return the share of readings in which robots are saved, by method, and in which the paper's story holds."""
+    n = len(judged.levels)
+    asked = {f"of readings: {_LABELS[arm]} loses fewer robots than direct": judged.column("C6", arm) == 1
+             for arm in INDIRECT}  # fmt: skip
+    last = INDIRECT[-1]
+    asked[f"of readings: all five main claims hold at once for {_LABELS[last]}"] = judged.together(last)
+    found = {label: stats.share(int(flags.sum()), n, unit="readings").interval for label, flags in asked.items()}
+    return [
+        large(stats.Interval(100 * i.estimate, 100 * i.low, 100 * i.high, i.confidence, i.n), label, " %")
+        for label, i in found.items()
+    ]
 
 
 def verdict_lines(judged: Judged, effects: Effects) -> list[str]:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from tasklift.cli.terminal import say
+
 _file = click.Path(path_type=Path)
 
 
@@ -96,12 +98,12 @@ def import_command(
         level=level,
         resolution_m=resolution,
         allow_outside=allow_outside,
-        progress=lambda text: click.echo(f"  {text} …", err=True),
+        progress=lambda text: say(f"  {text} …", err=True),
     )
-    click.echo(repr(building))
+    say(repr(building))
     for doubt in doubts:
-        click.echo(f"doubtful: {doubt}")
-    click.echo(f"wrote {out} and {overlay}: look at the picture, then correct with 'tasklift map edit'")
+        say(f"doubtful: {doubt}")
+    say(f"wrote {out} and {overlay}: look at the picture, then correct with 'tasklift map edit'")
 
 
 @map_group.command("formats")
@@ -110,7 +112,7 @@ def formats_command() -> None:
     from tasklift.plans.read import readers
 
     for reader in readers():
-        click.echo(reader.TITLE)
+        say(reader.TITLE)
 
 
 @map_group.command("show")
@@ -133,7 +135,7 @@ def show_command(
     output_file(out, ENDINGS, force=force, reads=[building, *([plan] if plan else [])])
     drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside)
     draw_overlay(load_building(building), out, drawn_on)
-    click.echo(f"wrote {out}")
+    say(f"wrote {out}")
 
 
 @map_group.command("check")
@@ -152,12 +154,12 @@ def check_command(building: Path, nodes: bool, plan: Path | None, level: str | N
 
     loaded = load_building(building)
     for line in check(loaded).lines():
-        click.echo(line)
+        say(line)
     floor = unpack(loaded) if plan is None else read_plan(plan, level=level)
     if floor is not None and (loaded.kind == ROOM).sum() > 1:
-        click.echo(compare_ways(loaded, floor).line())
+        say(compare_ways(loaded, floor).line())
     for line in node_lines(loaded) if nodes else ():
-        click.echo(line)
+        say(line)
 
 
 @map_group.command("edit")
@@ -187,9 +189,9 @@ def edit_command(
         write_atomically(places, "\n".join([HEADER, *as_places(loaded, corrections)]) + "\n")
     if overlay is not None:
         draw_overlay(corrected, overlay)
-    click.echo(repr(corrected))
+    say(repr(corrected))
     for remark in remarks:
-        click.echo(f"note: {remark}")
+        say(f"note: {remark}")
 
 
 @map_group.command("export")
@@ -227,8 +229,8 @@ def export_command(
         output_file(target, force=force, reads=reads)
     drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside)
     for remark in export(load_building(building), out, resolution, plan=drawn_on, radius_m=radius):
-        click.echo(f"note: {remark}")
-    click.echo(f"wrote {' and '.join(map(str, outputs(out)))}")
+        say(f"note: {remark}")
+    say(f"wrote {' and '.join(map(str, outputs(out)))}")
 
 
 @map_group.command("generate")
@@ -250,4 +252,4 @@ def generate_command(
     output_file(out, (".json",), force=force)
     building = generate(intersections, corridors, rooms, features, doors, seed)
     building.save(out)
-    click.echo(repr(building))
+    say(repr(building))

@@ -88,7 +88,7 @@ def willow() -> None:
     begin = time.perf_counter()
     building, doubts = import_map(path)
     seconds = time.perf_counter() - begin
-    print(f"\nWillow Garage: {building!r}, {seconds:.2f} s with imports, no JIT (bar 2 s)")
+    print(f"\nWillow Garage: {building!r}, {seconds:.2f} s with imports, no JIT (bar 3 s)")
     for name, found in against_labels(building).items():
         print(f"  {name}: recall {found.recall:.2f}, precision {found.precision:.2f} (bars .90)")
         print(f"    missed at {found.missed}\n    wrong at {found.wrong}")

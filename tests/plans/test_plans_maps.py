@@ -107,8 +107,8 @@ def test_willow_garage_is_quick_and_compiles_nothing() -> None:
         float(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout)
         for _ in range(2)
     )
-    print(f"\nWillow Garage: {best:.2f} s of processor time, imports included (bar 2 s)")
-    assert best <= 2.0
+    print(f"\nWillow Garage: {best:.2f} s of processor time, imports included (bar 3 s)")
+    assert best <= 3.0  # 2 s until ways between rooms were measured
 
 
 @pytest.mark.parametrize("folder", ["nav2/depot", "nav2/tb3_sandbox", "turtlebot3/map", "aws_small_house/map"])

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from tasklift.building.graph import FEATURE, ROOM
 
 MASK = (1 << 64) - 1
-OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW = 0, 1, 2, 3
+OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW, DETECTOR_DRAW = 0, 1, 2, 3, 4
 
 
 # --- randomness: SplitMix64's finaliser as a hash of a key and an address ---------------------------------------
@@ -71,6 +71,8 @@ class Robot:
     danger: int = 0
     about: int | None = None  # the feature that the danger is about
     input: tuple | None = None  # (DL, GL, nWPN, FTR)
+    seen: dict | None = None  # by name, the positions of all its inputs at its last decision
+    arrived: int = 0  # steps at which it came to `node`
     used: tuple | None = None  # (row, output number) of its last decision
     output: dict | None = None  # what it last decided
     force: dict | None = None  # what it acts on
@@ -85,8 +87,8 @@ class Robot:
 class Oracle:
     """One trial at a time of one mission, with one policy.
 
-    ``weights`` is a list of rows, changed in place; ``outputs[a]`` maps names to values; ``row_of(inputs)``
-    gives the row of an input of the full task; ``signal[s][a]`` are the local signals.
+    ``weights`` is a list of rows, changed in place; ``outputs[a]`` maps names to values; ``row_of(seen)`` gives the
+    row of an input, given as the position of each variable's value; ``signal[s][a]`` are the local signals.
     """
 
     def __init__(
@@ -101,6 +103,7 @@ class Oracle:
         learn=True,
         sweep=False,
         time_reward=0.1,
+        own=(),
     ):
         self.mission, self.building, self.reading = mission, mission.building, mission.reading
         self.weights, self.outputs, self.row_of, self.signal = weights, outputs, row_of, signal
@@ -110,6 +113,7 @@ class Oracle:
             sweep,
             time_reward,
         )
+        self.own = own  # sensors that the test declares: with a name, and `oracle(self, robot)`
         b = self.building
         self.position = [tuple(map(float, p)) for p in b.position_m]
         self.ways = [  # of each node: (edge, far node, CovA), by ascending far node
@@ -237,6 +241,34 @@ class Oracle:
                 robot.due = True
             robot.input = seen
 
+    def seen(self, robot):
+        """Return the positions of the values of all inputs, by name; Table I's are those that make robots decide."""
+        danger, goal_known, level, ftr = robot.input
+        mine = {name: value for sensor in self.mission.inputs for name, value in sensor.numbers}
+        mine |= {name: value for name, value in robot.kind.attributes if name in mine}
+        goal, at_node = self.goal(robot), robot.edge is None
+        waits = self.steps - robot.arrived if at_node else 0
+        new = sum(edge not in robot.map for edge, _, _ in self.ways[robot.node]) if at_node else 0
+        found = {"DL": danger, "GL": goal_known, "nWPN": level, "FTR": ftr - 1}
+        found |= {"TEAM": min(len(self.team_of[robot.number]), 4) - 1}
+        found |= {"EXITS": min(new, 2), "LOST": min(self.losses, 2)}
+        if "waited_some" in mine:
+            found["WAITED"] = sum(at_node and waits >= mine[name] for name in ("waited_some", "waited_long"))
+        if "near_m" in mine:
+            far = None if goal is None else square(self.position[robot.node], self.position[goal])
+            found["FAR"] = 0 if far is None else 1 + sum(far >= mine[name] ** 2 for name in ("near_m", "far_m"))
+        if "detector_range_m" in mine:
+            rates = [mine[f"detector_{name}"] for name in ("range_m", "miss", "false_alarm")]
+            found["ALARM"] = int(self.alarmed(robot, *rates))
+        return found | {sensor.name: sensor.oracle(self, robot) for sensor in self.own}
+
+    def alarmed(self, robot, range_m, miss, false_alarm):
+        """Whether a noisy detector signals: one draw for each visit to a node."""
+        here = self.position[robot.node]
+        near = any(square(here, self.position[v]) <= range_m * range_m for v in self.hostiles)
+        chance = 1.0 - miss if near else false_alarm
+        return range_m > 0 and uniform(self.key, robot.number, DETECTOR_DRAW, robot.arrived) < chance
+
     def decide(self, fixed):
         """[5, 20] Draw an output for everyone who is due."""
         alone = self.reading.decide == "robot"
@@ -244,7 +276,9 @@ class Oracle:
             if not any(robot.due for robot in team):
                 continue
             lead = team[0]
-            row = self.row_of(lead.input)
+            for robot in team:
+                robot.seen = self.seen(robot)
+            row = self.row_of(lead.seen)
             out = self.draw_output(lead, row) if fixed is None else fixed
             lead.decisions += 1
             self.credit(row, out)
@@ -299,6 +333,8 @@ class Oracle:
                 robot.crossing = self.facing(robot) is not None and (way[0] != robot.came or only_one)
 
     def choose(self, robot, earlier):
+        if robot.force.get("BACK") == 1 and robot.came is not None:
+            return next(way for way in self.ways[robot.node] if way[0] == robot.came)
         ways = self.open_ways(robot)
         if self.reading.split == "team":
             for way in earlier:
@@ -403,6 +439,7 @@ class Oracle:
 
     def arrive(self, robot):
         robot.node, robot.came = robot.to, robot.edge
+        robot.arrived = self.steps + 1
         robot.map.add(robot.edge)
         self.visited.add(robot.edge)
         robot.edge, robot.to, robot.progress, robot.due = None, None, 0, True
@@ -432,6 +469,11 @@ class Oracle:
                 self.unsearched[node] -= 1
                 if self.unsearched[node] == 0:
                     del self.unsearched[node]
+
+
+def square(a, b):
+    """Return the squared distance of two points."""
+    return (a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])
 
 
 def shares(values):

@@ -13,19 +13,20 @@ from scipy import stats
 import oracle as oracle_module
 from oracle import Oracle
 from strategies import missions, reinforcements
-from tasklift.building import kernel
 from tasklift.building.generate import generate
 from tasklift.building.graph import FEATURE, ROOM, Building
 from tasklift.building.layout import CLASSES
 from tasklift.building.mission import Mission
 from tasklift.building.reading import Reading
-from tasklift.building.search import hostile_candidates, search_only
+from tasklift.building.search import hostile_candidates, search_and_clear, search_only
 from tasklift.building.team import SCOUT, WEAPON, Kind
+from tasklift.building.variables import TABLE_I
 from tasklift.errors import TaskliftError
 from tasklift.learning.reinforcement import Reinforcement, reinforce
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 
+TABLE_ONE = search_and_clear()
 CASES = settings(max_examples=500, deadline=None, derandomize=True)
 
 
@@ -37,19 +38,25 @@ def random_weights(rng, shape):
     return np.ascontiguousarray(weights)
 
 
-def oracle_for(mission, task, weights, reinforcement, sweep, learn):
+def oracle_for(mission, task, weights, reinforcement, sweep, learn, own=()):
     root = mission.task
+
+    def row_of(seen):
+        values = {v.name: v.values[seen[v.name]] for v in root.inputs}
+        return int(task.input_map[root.input_index(values)])
+
     every_credit = sweep and reinforcement.sweep_credit == "all"
     return Oracle(
         mission,
         weights.tolist(),
         [root.output_values(int(a)) for a in task.output_map],
-        lambda seen: int(task.input_map[root.input_index(dict(zip(("DL", "GL", "nWPN", "FTR"), seen, strict=True)))]),
+        row_of,
         (task.signal_table(impossible=not every_credit)).tolist(),
         reinforcement,
         learn=learn,
         sweep=sweep,
         time_reward=task.time_reward,
+        own=own,
     )
 
 
@@ -63,8 +70,9 @@ def assert_same_state(mission, lane, oracle):
             continue
         edge = None if mine["half"] < 0 else int(building.edge_of[mine["half"]])
         assert (int(mine["node"]), edge, int(mine["progress"])) == (theirs.node, theirs.edge, theirs.progress)
-        seen = dict(zip((v.name for v in mission.task.inputs), theirs.input, strict=True))
-        assert int(mine["row"]) == mission.task.input_index(seen)
+        seen = {v.name: v.values[theirs.seen[v.name]] for v in mission.task.inputs}
+        assert int(mine["seen"]) == mission.task.input_index(seen)
+        assert int(mine["row"]) == TABLE_ONE.input_index(dict(zip(TABLE_I, theirs.input, strict=True)))
         assert (int(mine["pair_row"]), int(mine["out"])) == theirs.used
         about = None if mine["alert"] < 0 else int(mine["alert"])
         assert (int(mine["dl"]), about) == (theirs.danger, theirs.about)
@@ -88,12 +96,13 @@ def assert_same_state(mission, lane, oracle):
     assert lane.weights.tolist() == oracle.weights
 
 
-def agree(mission, reinforcement, weight_seed, seed, sweep, learn, trials=2):
+def agree(mission, reinforcement, weight_seed, seed, sweep, learn, trials=2, task=None, own=()):
     """Run kernel and oracle side by side, comparing after every step and every trial."""
     simulator = mission.simulator
-    task = search_only(mission.task) if sweep and mission.n_hostiles == 0 else mission.task
+    if task is None:
+        task = search_only(mission.task) if sweep and mission.n_hostiles == 0 else mission.task
     weights = np.maximum(random_weights(np.random.default_rng(weight_seed), task.shape), reinforcement.floor)
-    oracle = oracle_for(mission, task, weights, reinforcement, sweep, learn)
+    oracle = oracle_for(mission, task, weights, reinforcement, sweep, learn, own)
     learner = simulator.learner(task, reinforcement, sweep=sweep, learn=learn)
     lane = simulator.lane(task.shape)
     lane.weights[:] = weights
@@ -110,7 +119,8 @@ def agree(mission, reinforcement, weight_seed, seed, sweep, learn, trials=2):
             oracle.step(None if fixed < 0 else fixed)
             assert_same_state(mission, lane, oracle)
             assert {0: "on", 1: "success", 2: "failure"}[state] == oracle.status()
-        steps = kernel.end_trial(simulator.rules, learner, lane, state == 1, fixed, total / trial if trial else -1.0)
+        mean = total / trial if trial else -1.0
+        steps = simulator.kernel.end_trial(simulator.rules, learner, lane, state == 1, fixed, mean)
         assert steps == oracle.end(state == 1, fixed, total / trial if trial else None)
         total += steps
         assert lane.weights.tolist() == oracle.weights

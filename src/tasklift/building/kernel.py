@@ -17,19 +17,23 @@ Nothing depends on threads, batches or what other robots drew.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
+from tasklift.building import sensors
+from tasklift.building.randomness import (
+    EDGE_DRAW,
+    GREEDY_COIN,
+    OUTPUT_DRAW,
+    PLACE_DRAW,
+    UNCHECKED,
+    absorb,
+    inline,
+    uniform,
+)
 from tasklift.tasks import choice as scalar
 
-# Nothing here allocates, so no array's references need counting: left on, Numba's atomic counters take half of the
-# time. The option is private to Numba but used in its own sources; without it all is the same, only slower.
-# And nothing divides by zero, so no division needs a check.
-_UNCHECKED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
-_inline = njit(forceinline=True, **_UNCHECKED)
-_entry = njit(nogil=True, cache=True, **_UNCHECKED)
+_entry = njit(nogil=True, cache=True, **UNCHECKED)
 
 # --- names of the numbers in `Rules` and `Learner`, and of what a step returns -----------------------------------
 
@@ -38,41 +42,19 @@ SHARE_NONE, SHARE_TEAM, SHARE_RADIO = 0, 1, 2  # rule 12
 TIME_NONE, TIME_INVERTED, TIME_BASELINE = 0, 1, 2  # rule 19
 GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input that the task leaves out
 
-# --- randomness -------------------------------------------------------------------------------------------------
+_draw = inline(scalar.draw)
+_draw_summed = inline(scalar.draw_summed)
+_heaviest = inline(scalar.heaviest)
+_reinforced = inline(scalar.reinforce)
+_inverted = inline(scalar.time_inverted)
+_against_mean = inline(scalar.time_baseline)
+_goal = sensors.goal
 
-OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW = 0, 1, 2, 3  # the purpose of a draw
-
-_draw = _inline(scalar.draw)
-_draw_summed = _inline(scalar.draw_summed)
-_heaviest = _inline(scalar.heaviest)
-_reinforced = _inline(scalar.reinforce)
-_inverted = _inline(scalar.time_inverted)
-_against_mean = _inline(scalar.time_baseline)
-
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
-_SECOND = np.uint64(0x94D049BB133111EB)
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
-@_inline
-def mix(z):
-    """Return the finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014) of a uint64."""
-    z = (z ^ (z >> np.uint64(30))) * _FIRST
-    z = (z ^ (z >> np.uint64(27))) * _SECOND
-    return z ^ (z >> np.uint64(31))
-
-
-@_inline
-def absorb(key, value):
-    """Return the uint64 ``key`` with one more 64-bit ``value`` hashed into it."""
-    return mix(key ^ mix(np.uint64(value) + _GOLDEN))
-
-
-@_inline
-def uniform(key, robot, purpose, number):
-    """Return draw ``number`` of ``robot`` for ``purpose``: a float64 in [0, 1)."""
-    address = (np.uint64(robot) << np.uint64(40)) | (np.uint64(purpose) << np.uint64(32)) | np.uint64(number)
-    return np.float64(absorb(key, address) >> np.uint64(11)) * 1.1102230246251565e-16  # 2 ** -53
+# --- keys of random draws: see tasklift.building.randomness ------------------------------------------------------
 
 
 @njit(cache=True)
@@ -91,20 +73,12 @@ def keys(seed, map_id, stage):
 # --- a step, phase by phase -------------------------------------------------------------------------------------
 
 
-@_inline
-def _goal(rules, robot):
-    """Return the node that a robot heads for, -1 without a goal."""
-    if robot.dl == 2 or (robot.dl == 1 and rules.suspicion_goal == 1):
-        return robot.alert
-    return np.int64(-1)
-
-
-@_inline
+@inline
 def _moves(learner, robot):
     return robot.repelled == 0 and learner.outputs[robot.force].mv == 1
 
 
-@_inline
+@inline
 def _stops(world, learner, lane, robot):
     """Return 1 if a robot stands at an unresolved feature and does not move on, else 0 (rule 11)."""
     if robot.half >= 0 or world.nodes[robot.node].feature == 1 or lane.sites[robot.node].resolved == 1:
@@ -112,28 +86,34 @@ def _stops(world, learner, lane, robot):
     return 0 if _moves(learner, robot) else 1
 
 
-@_inline
-def _input(world, rules, lane, robot):
-    """Return a robot's input (Table I): its row of the full task's table."""
-    armed = lane.teams[robot.team].armed
-    weapons = 0 if armed == 0 else (1 if armed < rules.weapons_needed else 2)
-    feature = 1
-    if robot.half < 0 and lane.sites[robot.node].resolved == 0:
-        feature = world.nodes[robot.node].feature
-    goal_known = 1 if _goal(rules, robot) >= 0 else 0
-    return robot.dl * rules.dl_rows + goal_known * rules.gl_rows + weapons * rules.nwpn_rows + (feature - 1)
+@inline
+def _input(world, rules, lane, r):
+    """Return robot r's input of Table I, numbered in C order. Robots decide anew when it changes (rule 6)."""
+    return (
+        sensors.danger_level(world, rules, lane, r, world.numbers) * 30
+        + sensors.goal_known(world, rules, lane, r, world.numbers) * 15
+        + sensors.weapon_robots(world, rules, lane, r, world.numbers) * 5
+        + sensors.feature_faced(world, rules, lane, r, world.numbers)
+    )
 
 
-@_inline
-def sense(world, rules, lane, robot):
+@inline
+def _seen(world, rules, lane, r):
+    """Return robot r's input: its row of the mission's table. :mod:`tasklift.building.inputs` puts others here."""
+    return lane.robots[r].row
+
+
+@inline
+def sense(world, rules, lane, r):
     """Find a robot's input and whether it is due for a decision (rule 6)."""
-    row = _input(world, rules, lane, robot)
+    robot = lane.robots[r]
+    row = _input(world, rules, lane, r)
     if row != robot.row or lane.count[0].tick >= robot.decided + rules.patience:
         robot.due = 1
         robot.row = row
 
 
-@_inline
+@inline
 def wake(lane):
     """Move everyone on by its pace, and list who is looked at in this step: see :func:`plan`."""
     robots, count = lane.robots, lane.count[0]
@@ -148,14 +128,14 @@ def wake(lane):
     count.awake = n
 
 
-@_inline
+@inline
 def reinforce(learner, lane, row, out, signal):
     """Change one weight; the row's running sums are stale from there on."""
     lane.weights[row, out] = _reinforced(lane.weights[row, out], signal, learner.floor)
     lane.stale[row] = min(lane.stale[row], out)
 
 
-@_inline
+@inline
 def credit(learner, lane, row, out):
     """Book the use of (row, out) and apply its local signal at once (rules 17 and 19)."""
     count = lane.count[0]
@@ -170,7 +150,7 @@ def credit(learner, lane, row, out):
             reinforce(learner, lane, row, out, signal)
 
 
-@_inline
+@inline
 def draw_by_weight(lane, row, u):
     """Draw an output in proportion to its weight, from sums that are brought up to date where they are stale."""
     sums, weights, first = lane.sums[row], lane.weights[row], lane.stale[row]
@@ -183,14 +163,14 @@ def draw_by_weight(lane, row, u):
     return _draw_summed(weights, sums, u)
 
 
-@_inline
+@inline
 def draw_output(learner, lane, r):
     """Let robot r draw an output for its input (rule 20), or take the one that is given; book it."""
     robot, key = lane.robots[r], lane.count[0].key
-    if learner.rows[np.uint32(robot.row)] < 0:
-        lane.count[0].outside = robot.row + 1
+    if learner.rows[np.uint32(robot.seen)] < 0:
+        lane.count[0].outside = robot.seen + 1
         return
-    row, out = np.uint32(learner.rows[np.uint32(robot.row)]), lane.given[r]
+    row, out = np.uint32(learner.rows[np.uint32(robot.seen)]), lane.given[r]
     if out < 0:
         u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
         if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
@@ -203,14 +183,14 @@ def draw_output(learner, lane, r):
     credit(learner, lane, row, np.uint32(out))
 
 
-@_inline
+@inline
 def wake_teams(world, rules, lane):
     """Let the awake find their inputs, and wake every member of a team in which one is due (rule 5)."""
     robots, teams, count = lane.robots, lane.teams, lane.count[0]
     someone_due = False
     for i in range(count.awake):
         robot = robots[lane.awake[i]]
-        sense(world, rules, lane, robot)
+        sense(world, rules, lane, lane.awake[i])
         teams[robot.team].due |= robot.due
         someone_due |= robot.due == 1
     if not someone_due:
@@ -228,7 +208,7 @@ def wake_teams(world, rules, lane):
         teams[robots[lane.awake[i]].team].due = 0
 
 
-@_inline
+@inline
 def decide(world, rules, learner, lane):
     """Let the awake find their inputs, and those who are due decide, in robot order (rules 5 and 6).
 
@@ -242,8 +222,9 @@ def decide(world, rules, learner, lane):
         r = lane.awake[i]
         robot = robots[r]
         if rules.by_team == 0:
-            sense(world, rules, lane, robot)
+            sense(world, rules, lane, r)
         if robot.due == 1:
+            robot.seen = _seen(world, rules, lane, r)
             lead = teams[robot.team].lead
             if rules.by_team == 1 and lead != r:
                 robot.out = robots[lead].out
@@ -264,7 +245,7 @@ def decide(world, rules, learner, lane):
     return began
 
 
-@_inline
+@inline
 def _hear(world, lane, robot):
     """Let a robot hear of the nearby feature, the highest-numbered one, at which somebody stops (rule 11)."""
     sites, count = lane.sites, lane.count[0]
@@ -279,7 +260,7 @@ def _hear(world, lane, robot):
             return
 
 
-@_inline
+@inline
 def alert(world, lane, began):
     """Spread the suspicion of robots that stop at an unresolved feature.
 
@@ -294,12 +275,12 @@ def alert(world, lane, began):
         robot.listens = 0
 
 
-@_inline
+@inline
 def _knows(lane, r, edge):
     return (lane.maps[r, edge >> 6] >> np.uint64(edge & 63)) & np.uint64(1) == np.uint64(1)
 
 
-@_inline
+@inline
 def open_edges(world, rules, lane, r):
     """Mark in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
     robot, is_open = lane.robots[r], lane.open
@@ -325,7 +306,7 @@ def open_edges(world, rules, lane, r):
     return n_new
 
 
-@_inline
+@inline
 def _nearness(world, rules, node, goal):
     dx = world.nodes[node].x - world.nodes[goal].x
     dy = world.nodes[node].y - world.nodes[goal].y
@@ -333,7 +314,7 @@ def _nearness(world, rules, node, goal):
     return 1.0 / base if rules.sharpness == 1.0 else 1.0 / base**rules.sharpness
 
 
-@_inline
+@inline
 def draw_edge(world, rules, learner, lane, r, n_open):
     """Draw one of the open half-edges by p_j = CA · CovA_j + (1 − CA) · GolC_j (rule 9; section IV)."""
     robot, is_open, share = lane.robots[r], lane.open, lane.share
@@ -367,12 +348,20 @@ def draw_edge(world, rules, learner, lane, r, n_open):
     return node.first + _draw(share[:degree], u)
 
 
-@_inline
+@inline
 def choose_edge(world, rules, learner, lane, r):
-    """Return the half-edge by which robot r leaves, minding what others chose here in this step (rule 7)."""
+    """Return the half-edge by which robot r leaves, minding what others chose here in this step (rule 7).
+
+    With the output BACK it is the one by which it came; others do not mind that one.
+    """
     robot, picks = lane.robots[r], lane.picks
     site = lane.sites[robot.node]
     first = world.nodes[robot.node].first
+    if learner.outputs[robot.force].back == 1 and robot.came >= 0:
+        half = first
+        while world.halves[half].edge != robot.came:
+            half += 1
+        return half
     n_open = open_edges(world, rules, lane, r)
     if rules.split == SPLIT_ROBOTS:
         return draw_edge(world, rules, learner, lane, r, n_open)
@@ -401,7 +390,7 @@ def choose_edge(world, rules, learner, lane, r):
     return half
 
 
-@_inline
+@inline
 def leave(world, rules, learner, lane):
     """Let the awake who move at a node choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
 
@@ -430,7 +419,7 @@ def leave(world, rules, learner, lane):
     return crossed
 
 
-@_inline
+@inline
 def _resolve(rules, lane):
     """Decide each crossed feature; return the highest and second-highest node of a failed attack, or -1."""
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
@@ -454,7 +443,7 @@ def _resolve(rules, lane):
     return highest, second
 
 
-@_inline
+@inline
 def encounter(rules, learner, lane):
     """Fight at the crossed features; spread the news (rule 10). A drill repels instead of destroying (rule 21)."""
     robots, sites, count, roster = lane.robots, lane.sites, lane.count[0], lane.roster
@@ -501,7 +490,7 @@ def encounter(rules, learner, lane):
     count.alive = living
 
 
-@_inline
+@inline
 def _speed(world, learner, lane, r):
     """Return how far a robot comes in a step in which it moves (mm): rules 2 and 15."""
     robot, member = lane.robots[r], world.members[r]
@@ -510,7 +499,7 @@ def _speed(world, learner, lane, r):
     return team.slowest if keeps and team.armed > 0 and team.slowest < member.speed_mm else member.speed_mm
 
 
-@_inline
+@inline
 def arrive(world, lane, r):
     """Take a robot in at the end of its corridor (rules 2 and 12)."""
     robot, count = lane.robots[r], lane.count[0]
@@ -522,6 +511,7 @@ def arrive(world, lane, r):
     robot.pace = 0
     robot.due = 1
     robot.listens = 1
+    robot.arrived = count.step + 1
     lane.maps[r, half.edge >> 6] |= np.uint64(1) << np.uint64(half.edge & 63)
     count.arrivals += 1
     if lane.visited[half.edge] == 0:
@@ -533,7 +523,7 @@ def arrive(world, lane, r):
     put_in(lane, r, half.to)
 
 
-@_inline
+@inline
 def move(world, learner, lane):
     """Send the awake off, and take in those who arrive; :func:`wake` has moved whoever was under way."""
     robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
@@ -567,7 +557,7 @@ def move(world, learner, lane):
 # --- who is where ------------------------------------------------------------------------------------------------
 
 
-@_inline
+@inline
 def touch(lane, place):
     """Have a place regrouped at the end of the step."""
     count, place = lane.count[0], np.uint32(place)
@@ -577,7 +567,7 @@ def touch(lane, place):
         count.touched += 1
 
 
-@_inline
+@inline
 def put_in(lane, r, place):
     """Enter a robot in the list of those at a place."""
     place = np.uint32(place)
@@ -590,7 +580,7 @@ def put_in(lane, r, place):
     touch(lane, place)
 
 
-@_inline
+@inline
 def take_out(lane, r, place):
     """Take a robot out of the list of those at a place."""
     robot, place = lane.robots[r], np.uint32(place)
@@ -604,7 +594,7 @@ def take_out(lane, r, place):
         touch(lane, place)
 
 
-@_inline
+@inline
 def search(lane):
     """Search the rooms that hold a robot, one step's worth each (rule 13); nobody leaves one before that is done."""
     count = lane.count[0]
@@ -621,7 +611,7 @@ def search(lane):
     count.rooms_open = left
 
 
-@_inline
+@inline
 def team_at(slots, tick, place, progress, fresh):
     """Return the number of the team at a place and progress; the first one there founds team ``fresh`` (rule 4)."""
     mask = np.uint32(slots.shape[0] - 1)
@@ -639,7 +629,7 @@ def team_at(slots, tick, place, progress, fresh):
     return fresh
 
 
-@_inline
+@inline
 def form_teams(world, rules, lane, place):
     """Find the teams at a place (rule 4), numbered by one of their members; pool their maps (rule 12)."""
     robots, teams, maps = lane.robots, lane.teams, lane.maps
@@ -659,6 +649,7 @@ def form_teams(world, rules, lane, place):
         if t == r:
             team.lead = r
             team.armed = 0
+            team.size = 0
             team.slowest = 0
             team.due = 0
             team.learned = 0
@@ -667,6 +658,7 @@ def form_teams(world, rules, lane, place):
             if rules.share_map == SHARE_TEAM:
                 for w in range(maps.shape[1]):
                     differ |= maps[r, w] != maps[t, w]
+        team.size += 1
         member = world.members[r]
         if member.armed == 1:
             if team.armed == 0 or member.speed_mm < team.slowest:
@@ -677,7 +669,7 @@ def form_teams(world, rules, lane, place):
         pool(lane, first)
 
 
-@_inline
+@inline
 def pool(lane, first):
     """Pool the maps of each team at a place; one message per pooling that taught someone (rules 11, 12)."""
     robots, teams, maps, pooled = lane.robots, lane.teams, lane.maps, lane.pooled
@@ -699,7 +691,7 @@ def pool(lane, first):
         r = robots[r].after
 
 
-@_inline
+@inline
 def pool_all(lane):
     """Pool everyone's maps by radio; one message if that taught someone (rules 11, 12)."""
     maps, pooled, count = lane.maps, lane.pooled, lane.count[0]
@@ -715,7 +707,7 @@ def pool_all(lane):
         count.messages += 1
 
 
-@_inline
+@inline
 def plan(world, rules, learner, lane, place):
     """Foresee for everyone at a place the tick at which it must be looked at again: it *wakes* then.
 
@@ -762,14 +754,14 @@ def plan(world, rules, learner, lane, place):
                 wakes = tick + 1
         elif _stops(world, learner, lane, robot) != robot.stopping:
             wakes = tick + 1
-        if _input(world, rules, lane, robot) != robot.row:
+        if _input(world, rules, lane, r) != robot.row:
             wakes = tick + 1
         if robot.wake != tick + 1:  # else a fight or an alert has woken it
             robot.wake = wakes
         r = robot.after
 
 
-@_inline
+@inline
 def _step(world, rules, learner, lane):
     """Run one step (rule 1) and return ``GOES_ON``, ``SUCCESS``, ``FAILURE`` (rule 16) or ``OUTSIDE``.
 
@@ -811,13 +803,15 @@ def step(world, rules, learner, lane):
 def observe(world, rules, lane):
     """Find the input of every living robot; a lost one keeps the last that it saw."""
     for i in range(lane.count[0].alive):
-        sense(world, rules, lane, lane.robots[lane.roster[i]])
+        r = lane.roster[i]
+        sense(world, rules, lane, r)
+        lane.robots[r].seen = _seen(world, rules, lane, r)
 
 
 # --- a trial ----------------------------------------------------------------------------------------------------
 
 
-@_inline
+@inline
 def place_hostiles(world, rules, lane, place_key):
     """Hide the hostiles: the same draw for every arm, since ``place_key`` knows only seed and map (rule 14)."""
     n_candidates = world.candidates.shape[0]
@@ -879,6 +873,8 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.decided = count.tick + 1  # the first decision falls due then
         robot.wake = count.tick + 1
         robot.row = -1
+        robot.seen = -1
+        robot.arrived = 0
         robot.pair_row = 0
         robot.out = 0
         robot.force = 0
@@ -917,7 +913,7 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
     return steps
 
 
-@_inline
+@inline
 def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, fixed, max_losses, table, left):
     """Run trials one after the other, learning as they go; see :func:`run` for what comes in and goes out."""
     count = lane.count[0]

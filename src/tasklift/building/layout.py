@@ -20,19 +20,20 @@ def _record(**fields: str) -> np.dtype:
 NODE = _record(x="f8", y="f8", feature="i8", first="i8", last="i8", near_first="u4", near_last="u4")
 HALF = _record(to="u4", edge="u4", cost_mm="i8", coverage="f8")
 MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
-OUTPUT = _record(mv="i8", wpn="i8", ca="f8")
+OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
 ROBOT = _record(
     alive="i8", node="u4", half="i8", next="i8", came="i8", progress="i8", pace="i8",  # half, next, came: -1 for none
     due="i8", decided="i8", row="i8", pair_row="u4", out="u4", force="u4", repelled="i8", crossing="i8",
     dl="i8", alert="i8", team="u4", decisions="i8", choices="i8",
     wake="i8", died="i8", stopping="i8", listens="i8", after="i8", before="i8",  # decided, wake, died: ticks
+    seen="i8", arrived="i8",  # its row of the mission's table at its last decision; the step in which it came to `node`
 )  # fmt: skip
 SITE = _record(
     hostile="i8", resolved="i8", unsearched="i8", armed_crossing="i8", stoppers="i8",
     crossed="i8", failed="i8", picking="i8", picks="i8",  # crossed, failed, picking: the tick at which it last was
 )  # fmt: skip
 PLACE = _record(first="i8", touched="i8")  # a node, or N + a half-edge; the first robot there, -1 for none
-TEAM = _record(lead="u4", armed="i8", slowest="i8", due="i8", learned="i8")
+TEAM = _record(lead="u4", size="i8", armed="i8", slowest="i8", due="i8", learned="i8")
 SLOT = _record(tick="i8", place="i8", progress="i8", team="u4")
 COUNT = _record(
     step="i8", alive="i8", awake="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8", rooms_open="i8",
@@ -53,6 +54,7 @@ class World(NamedTuple):
     search: Any  # int64 (N,): steps to search each room, 0 elsewhere
     candidates: Any  # uint32: nodes where hostiles may be hidden
     members: Any  # MEMBER (R,)
+    numbers: Any  # float64 (kinds, P): what the mission's sensors are given, by kind of robot
 
 
 class Rules(NamedTuple):
@@ -75,9 +77,6 @@ class Rules(NamedTuple):
     suspicion_goal: int
     share_map: int  # kernel.SHARE_…
     drill: int
-    dl_rows: int  # how many rows of the full task's table lie between two values of DL, of GL, of nWPN
-    gl_rows: int
-    nwpn_rows: int
     alerts: int  # 0 in a mission without hostiles: nothing to suspect
 
 

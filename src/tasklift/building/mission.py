@@ -45,6 +45,11 @@ class Mission(Setting):
         The paper's m: the number of weapon robots that destroy a hostile (at least 1).
     limit : int
         Steps after which an episode (trial) has failed (at least 1).
+    inputs : sequence of str or Sensor
+        The task's inputs: names of :data:`~tasklift.building.variables.INPUTS`, or sensors of your own. The default is
+        the paper's (Table I). The first use of another selection compiles it, once per machine.
+    outputs : sequence of str
+        The task's outputs: names of :data:`~tasklift.building.variables.OUTPUTS`, the paper's three among them.
 
     Raises
     ------
@@ -59,6 +64,10 @@ class Mission(Setting):
     (15, (90, 44))
     >>> hunt.without_hostiles().n_hostiles
     0
+    >>> from tasklift.building.variables import TABLE_I, TABLE_I_OUTPUTS
+    >>> patient = Mission(hunt.building, "10+5", inputs=[*TABLE_I, "WAITED"], outputs=[*TABLE_I_OUTPUTS, "BACK"])
+    >>> patient.task.shape
+    (270, 88)
     """
 
     def without_hostiles(self) -> Mission:

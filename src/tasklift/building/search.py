@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from tasklift.building.graph import DOOR, Building
-from tasklift.tasks.task import Signal, Task, Variable
+from tasklift.building.variables import OUTPUTS, TABLE_I, TABLE_I_OUTPUTS, Sensor, chosen_inputs
+from tasklift.tasks.task import Signal, Task
 
 #: The feature class that hides hostiles (the paper's EnemyFTR; Figure 5 shows it at 4).
 ENEMY_FEATURE = DOOR
@@ -16,11 +17,21 @@ SEARCH_TIME_REWARD = 0.2
 
 
 @cache
-def search_and_clear() -> Task:
-    """Return the paper's task T (Table I, 90 × 44 weights) with its signals (Table III).
+def search_and_clear(
+    inputs: tuple[Sensor, ...] = chosen_inputs(TABLE_I), outputs: tuple[str, ...] = TABLE_I_OUTPUTS
+) -> Task:
+    """Return the paper's task T (Table I, 90 × 44 weights) with its signals (Table III), or one with other variables.
 
     Two misprints of Table III are mended. Its ``WPN ≥ 2`` and ``WPN = 0`` mean nWPN, since the output WPN has no
     such values. Its last row, described as "suspected enemy at a different feature", needs FTR ≠ enemy.
+
+    Parameters
+    ----------
+    inputs : tuple of Sensor
+        The task's inputs. A signal or an impossible output that depends on an input which is not among them is left
+        out.
+    outputs : tuple of str
+        The task's outputs.
 
     Examples
     --------
@@ -28,35 +39,19 @@ def search_and_clear() -> Task:
     (90, 44)
     """
     elsewhere = [ftr for ftr in range(1, 6) if ftr != ENEMY_FEATURE]
+    names = {sensor.name for sensor in inputs} | set(outputs)
+    signals = (
+        Signal(-0.1, {"MV": 0, "nWPN": 2}, "never stop when enough weapon robots"),
+        Signal(+0.1, {"MV": 0, "nWPN": 0, "FTR": ENEMY_FEATURE}, "stopped near a correct feature"),
+        Signal(-0.1, {"MV": 0, "FTR": elsewhere}, "suspected enemy at a different feature"),
+    )
+    impossible = ({"WPN": 1, "nWPN": 0},)
     return Task(
         name="search and clear",
-        inputs=(
-            Variable("DL", (0, 1, 2), labels=("none", "suspected", "attacked"), meaning="danger level"),
-            Variable("GL", (0, 1), labels=("unknown", "known"), meaning="goal"),
-            Variable(
-                "nWPN",
-                (0, 1, 2),
-                labels=("none", "below m", "m or more"),
-                meaning="weapon robots in the team",
-            ),
-            Variable(
-                "FTR",
-                (1, 2, 3, 4, 5),
-                labels=("none", "bend", "corner", "door", "other"),
-                meaning="feature faced",
-            ),
-        ),
-        outputs=(
-            Variable("MV", (0, 1), labels=("stop", "move"), meaning="stop or move"),
-            Variable("WPN", (0, 1), labels=("deny", "accept"), meaning="keep to the weapon robots' speed"),
-            Variable("CA", tuple(i / 10 for i in range(11)), meaning="coverage coefficient"),
-        ),
-        signals=(
-            Signal(-0.1, {"MV": 0, "nWPN": 2}, "never stop when enough weapon robots"),
-            Signal(+0.1, {"MV": 0, "nWPN": 0, "FTR": ENEMY_FEATURE}, "stopped near a correct feature"),
-            Signal(-0.1, {"MV": 0, "FTR": elsewhere}, "suspected enemy at a different feature"),
-        ),
-        impossible=({"WPN": 1, "nWPN": 0},),
+        inputs=tuple(sensor.variable for sensor in inputs),
+        outputs=tuple(OUTPUTS[name] for name in outputs),
+        signals=tuple(signal for signal in signals if names.issuperset(signal.when)),
+        impossible=tuple(condition for condition in impossible if names.issuperset(condition)),
         impossible_signal=-0.5,
         time_reward=0.1,
     )

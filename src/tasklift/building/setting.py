@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,14 @@ from tasklift.building.graph import FEATURE, Building
 from tasklift.building.reading import Reading
 from tasklift.building.search import hostile_candidates, search_and_clear
 from tasklift.building.team import Kind, parse_team
+from tasklift.building.variables import (
+    LARGEST_ROWS,
+    TABLE_I,
+    TABLE_I_OUTPUTS,
+    Sensor,
+    chosen_inputs,
+    chosen_outputs,
+)
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.tasks.task import Task
@@ -34,6 +43,8 @@ class Setting:
     reading: Reading = field(default_factory=Reading)
     weapons_needed: int = 2
     limit: int = 600
+    inputs: tuple[Sensor, ...] = TABLE_I  # type: ignore[assignment]
+    outputs: tuple[str, ...] = TABLE_I_OUTPUTS
 
     if TYPE_CHECKING:  # what may be given is more than what is kept
 
@@ -45,6 +56,8 @@ class Setting:
             reading: Reading = ...,
             weapons_needed: int = 2,
             limit: int = 600,
+            inputs: Sequence[str | Sensor] = ...,
+            outputs: Sequence[str] = ...,
         ) -> None: ...
 
     def __repr__(self) -> str:
@@ -63,6 +76,11 @@ class Setting:
         object.__setattr__(self, "team", parse_team(self.team))
         whole_number(self.weapons_needed, "weapons_needed", 1, LARGEST_LIMIT)
         whole_number(self.limit, "limit", 1, LARGEST_LIMIT)
+        object.__setattr__(self, "inputs", chosen_inputs(self.inputs))
+        object.__setattr__(self, "outputs", chosen_outputs(self.outputs))
+        rows = math.prod(len(sensor.variable) for sensor in self.inputs)
+        if rows > LARGEST_ROWS:
+            raise TaskliftError(f"inputs: a table of {rows:,} rows is more than the {LARGEST_ROWS:,} that are built")
         self._check_hostiles()
 
     def _check_hostiles(self) -> None:
@@ -102,5 +120,5 @@ class Setting:
 
     @property
     def task(self) -> Task:
-        """The paper's task T (Table I)."""
-        return search_and_clear()
+        """The paper's task T (Table I), or the one with the variables that were chosen."""
+        return search_and_clear(self.inputs, self.outputs)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import count
 from threading import Timer
 from typing import Any
@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasklift.building import kernel, layout
+from tasklift.building.inputs import compiling, kernel_for, numbers_of
 from tasklift.building.outcomes import SearchOutcomes, Trace
 from tasklift.building.search import hostile_candidates
 from tasklift.building.setting import Setting
+from tasklift.building.variables import Sensor
 from tasklift.checks import LARGEST_WHOLE, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
@@ -66,6 +68,15 @@ class Simulator:
         self.world = self._world()
         self.rules = self._rules()
 
+    @cached_property
+    def kernel(self) -> Any:
+        """The kernel that shows robots this mission's inputs."""
+        return kernel_for(self.mission.inputs)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the kernel out, which pickle cannot keep; it is found again when it is needed."""
+        return {name: value for name, value in vars(self).items() if name != "kernel"}
+
     # --- what never changes -------------------------------------------------------------------------------------
 
     def _world(self) -> layout.World:
@@ -105,11 +116,11 @@ class Simulator:
             search=search_steps(building.kind == 0, building.area_m2, building.obstacles, reading.search_rate_m2),
             candidates=np.array(candidates, np.uint32),
             members=members,
+            numbers=np.array(numbers_of(self.mission.inputs, list(self.mission.team)), np.float64),
         )
 
     def _rules(self) -> layout.Rules:
         mission, reading = self.mission, self.mission.reading
-        rows = {variable.name: step for variable, step in zip(mission.task.inputs, _strides(mission.task), strict=True)}
         return layout.Rules(
             start=int(mission.building.start),
             rooms=int((self.world.search > 0).sum()),
@@ -128,9 +139,6 @@ class Simulator:
             suspicion_goal=int(reading.suspicion_goal),
             share_map=_SHARES[reading.share_map],
             drill=int(reading.drill),
-            dl_rows=rows["DL"],
-            gl_rows=rows["GL"],
-            nwpn_rows=rows["nWPN"],
             alerts=int(mission.n_hostiles > 0),
         )
 
@@ -223,7 +231,8 @@ class Simulator:
     def step(self, learner: layout.Learner, lane: layout.Lane) -> int:
         """Run one step; return the kernel's ``GOES_ON``, ``SUCCESS``, ``FAILURE`` or ``OUTSIDE``."""
         self._check(learner, lane)
-        return int(kernel.step(self.world, self.rules, learner, lane))
+        with _patience(self.kernel.step, self.mission.inputs):
+            return int(self.kernel.step(self.world, self.rules, learner, lane))
 
     def _check(self, learner: object, lane: Any) -> None:
         self._check_lane(lane)
@@ -356,12 +365,12 @@ class Simulator:
         done = np.zeros((len(jobs), 2), np.int64)
 
         def work(part: slice, lane: layout.Lane) -> None:
-            kernel.run(
+            self.kernel.run(
                 self.world, self.rules, learner, lane, keys, first_trial, fixed,
                 -1 if max_losses is None else max_losses, weights, jobs[part], table, left, done[part],
             )  # fmt: skip
 
-        with _patience():
+        with _patience(self.kernel.run, self.mission.inputs):
             _share_out(work, lambda: self.lane(task.shape), len(jobs), threads)
         outside = done[:, 1].nonzero()[0]
         if len(outside):
@@ -406,8 +415,9 @@ class Simulator:
     def observe(self, lane: layout.Lane) -> NDArray[np.int64]:
         """Return every robot's input, ``int64 (R,)``: its row of the full task's table."""
         self._check_lane(lane)
-        kernel.observe(self.world, self.rules, lane)
-        return lane.robots["row"].copy()
+        with _patience(self.kernel.observe, self.mission.inputs):
+            self.kernel.observe(self.world, self.rules, lane)
+        return lane.robots["seen"].copy()
 
     def _refuse_input(self, task: Task, row: int) -> None:
         raise TaskliftError(
@@ -486,6 +496,7 @@ def _frame(lane: layout.Lane) -> dict[str, Any]:
     robots = np.zeros(len(lane.robots), _SEEN)
     for name in layout.ROBOT.names or ():
         robots[name] = lane.robots[name]
+    robots["row"] = robots["seen"]
     now = lane.count["tick"][0]
     robots["since"] = np.where(robots["alive"] == 1, now + 1, robots["died"]) - robots["decided"]
     return {
@@ -509,6 +520,7 @@ def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool
         mv=[v["MV"] for v in values],
         wpn=[v["WPN"] for v in values],
         ca=[v["CA"] for v in values],
+        back=[v.get("BACK", 0) for v in values],
     )
     sweep_all = sweep and reinforcement.sweep_credit == "all"
     return layout.Learner(
@@ -526,21 +538,22 @@ def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool
     )
 
 
-def _strides(task: Task) -> list[int]:
-    """Return how many rows of a task's table lie between neighbouring values of each of its inputs."""
-    sizes = [len(variable) for variable in task.inputs]
-    return [math.prod(sizes[i + 1 :]) for i in range(len(sizes))]
-
-
 @contextmanager
-def _patience() -> Iterator[None]:
-    """Say on a terminal that the kernel is being compiled, where the first call takes longer than reading the cache."""
+def _patience(entry: Any, sensors: tuple[Sensor, ...]) -> Iterator[None]:
+    """Say on a terminal that the kernel is being compiled, where the first call takes longer than reading the cache.
+
+    A sensor that cannot be compiled is an error of one line.
+    """
+    if entry.signatures:
+        yield
+        return
     note = "tasklift: compiling the simulator for this machine, once; this can take half a minute"
     timer = Timer(2.0, print, [note], {"file": sys.stderr})
-    if not kernel.run.signatures and sys.stderr.isatty():
+    if sys.stderr.isatty():
         timer.start()
     try:
-        yield
+        with compiling(sensors):
+            yield
     finally:
         timer.cancel()
 

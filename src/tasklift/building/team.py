@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from tasklift.building.variables import named_numbers
 from tasklift.checks import check_name, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.text import shown
@@ -27,6 +28,9 @@ class Kind:
         Millimetres per step, at least 1. Motion is exact integer arithmetic.
     armed : bool
         Whether it counts as a weapon robot.
+    attributes : mapping of str to float, optional
+        Numbers that sensors read in place of their own of the same name
+        (:class:`~tasklift.building.variables.Sensor`), such as ``{"detector_range_m": 12}``.
 
     Raises
     ------
@@ -42,12 +46,14 @@ class Kind:
     name: str
     speed_mm: int
     armed: bool
+    attributes: tuple[tuple[str, float], ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         check_name(self.name, "kind")
         whole_number(self.speed_mm, f"kind {self.name!r}, speed_mm (millimetres per step)", 1, LARGEST_SPEED_MM)
         if not isinstance(self.armed, bool):
             raise TaskliftError(f"kind {self.name!r}: armed must be True or False, found {shown(self.armed)}")
+        object.__setattr__(self, "attributes", named_numbers(self.attributes, f"kind {self.name!r}, attributes"))
 
 
 #: The paper's two kinds (section VI: velocities 1.5 and 1.0).

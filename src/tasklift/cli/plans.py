@@ -164,15 +164,33 @@ def check_command(building: Path, nodes: bool, plan: Path | None, level: str | N
 
 @map_group.command("edit")
 @click.argument("building", type=_file)
-@click.argument("edits", type=_file)
-@click.option("-o", "--out", type=_file, required=True, help="The corrected building to write.")
+@click.argument("edits", type=_file, required=False)
+@click.option("-o", "--out", type=_file, help="The corrected building to write; needed without --browser.")
 @click.option("--overlay", type=_file, help="A picture of it to write, .png or .svg.")
 @click.option("--places", type=_file, help="The edits to write with places for the numbers of nodes.")
+@click.option("--browser", is_flag=True, help="Correct it on a page here; EDITS is written when you save.")
+@click.option("--no-open", is_flag=True, help="With --browser: say the page's address, and leave the browser alone.")
 @_force
 def edit_command(
-    building: Path, edits: Path, out: Path, overlay: Path | None, places: Path | None, force: bool
+    building: Path,
+    edits: Path | None,
+    out: Path | None,
+    overlay: Path | None,
+    places: Path | None,
+    browser: bool,
+    no_open: bool,
+    force: bool,
 ) -> None:
-    """Apply a file of corrections: drop, merge, move nodes, add rooms, doors, edges, set classes."""
+    """Apply a file of corrections: drop, merge, move nodes, add rooms, doors, edges, set classes.
+
+    With --browser, click, drag and delete on the plan instead. EDITS [BUILDING with .edits] goes on from what is
+    there; saving writes it, and OUT where you name one.
+    """
+    if browser:
+        _edit_in_browser(building, edits or building.with_suffix(".edits"), out, not no_open, force)
+        return
+    if edits is None or out is None:
+        raise click.UsageError("expected EDITS and -o OUT, or --browser")
     from tasklift.files import output_file, write_atomically
     from tasklift.plans.edits import HEADER, apply_edits, as_places, read_edits
     from tasklift.plans.overlay import ENDINGS, draw_overlay
@@ -192,6 +210,20 @@ def edit_command(
     say(repr(corrected))
     for remark in remarks:
         say(f"note: {remark}")
+
+
+def _edit_in_browser(building: Path, edits: Path, out: Path | None, open_browser: bool, force: bool) -> None:
+    from tasklift.files import output_file
+    from tasklift.plans.edits import read_edits
+    from tasklift.plans.read import load_building
+    from tasklift.watch.editor import Editing, edit
+
+    output_file(edits, force=True, reads=[building])
+    if out is not None:
+        output_file(out, (".json",), force=force, reads=[building, edits])
+    lines = [edit.text for edit in read_edits(edits)] if edits.exists() else []
+    session = Editing(load_building(building), edits, out, lines)
+    edit(session, open_browser=open_browser, say=lambda text: click.echo(text))
 
 
 @map_group.command("export")

@@ -12,18 +12,25 @@ from typing import Any
 ADDRESS = "127.0.0.1"
 
 
-class _Server(ThreadingHTTPServer):
+class PageServer(ThreadingHTTPServer):
+    """A server on a free port of this machine alone."""
+
     daemon_threads = True
 
-    def __init__(self, html: str) -> None:
-        super().__init__((ADDRESS, 0), _Handler)  # port 0: a free one
-        self.body = html.encode("utf-8", errors="replace")
+    def __init__(self, handler: type[BaseHTTPRequestHandler]) -> None:
+        super().__init__((ADDRESS, 0), handler)  # port 0: a free one
         self.url = f"http://{ADDRESS}:{self.server_port}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a tab that was closed or reloaded before it had the page."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
+
+
+class _Server(PageServer):
+    def __init__(self, html: str) -> None:
+        super().__init__(_Handler)
+        self.body = html.encode("utf-8", errors="replace")
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -67,11 +74,16 @@ def serve(html: str, *, open_browser: bool, say: Callable[[str], None]) -> None:
         Gets the address once the page is there.
     """
     with _Server(html) as server:
-        say(f"watch at {server.url} (Ctrl-C ends it)")
-        if open_browser:
-            # some browsers keep the caller until they are closed
-            threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
-        try:
-            server.serve_forever(poll_interval=0.1)
-        except KeyboardInterrupt:
-            say("")
+        run(server, "watch", open_browser=open_browser, say=say)
+
+
+def run(server: PageServer, verb: str, *, open_browser: bool, say: Callable[[str], None]) -> None:
+    """Say where the server is, and serve until Ctrl-C."""
+    say(f"{verb} at {server.url} (Ctrl-C ends it)")
+    if open_browser:
+        # some browsers keep the caller until they are closed
+        threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+    try:
+        server.serve_forever(poll_interval=0.1)
+    except KeyboardInterrupt:
+        say("")

@@ -414,6 +414,8 @@ def test_buttons_scrubber_and_timeline(show, three):
 
 def test_every_event_is_a_click_away_and_filters_hide_kinds(show, trace, document):
     tab = ready(show(document))
+    assert tab.locator("#events button").filter(has_text="splits").count() == 0  # until somebody asks for them
+    tab.click("#filters [data-type=split]")
     button = tab.locator("#events button").filter(has_text="splits").first
     step = int(button.get_attribute("data-step"))
     button.click()

@@ -90,7 +90,11 @@ def _document(source: Path, **options: Any) -> dict[str, Any]:
     for label, trace in traces:
         end = f"done in {trace.steps} steps" if trace.success else f"not done in {trace.steps} steps"
         say(f"{label}: {end}, {trace.losses[-1]} lost", err=True)
-    return replay(traces, _title(traces, source))
+    from tasklift.studies.arms import ARMS
+
+    about = {arm.label: arm.meaning for arm in ARMS.values()}
+    about["handed over"] = "the policy that train hands over"
+    return replay(traces, _title(traces, source), about)
 
 
 def _title(traces: list[tuple[str, Trace]], source: Path) -> str:

@@ -14,7 +14,7 @@ import base64
 import dataclasses
 import os
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -51,7 +51,7 @@ class Replay(dict[str, Any]):
         return f"Replay({shown(self.get('title'))}: {len(self.get('traces', ()))} episodes)"
 
 
-def replay(traces: Sequence[tuple[str, Trace]], title: str) -> Replay:
+def replay(traces: Sequence[tuple[str, Trace]], title: str, about: Mapping[str, str] | None = None) -> Replay:
     """Return a replay document, JSON values only. In a notebook it plays.
 
     Parameters
@@ -60,6 +60,8 @@ def replay(traces: Sequence[tuple[str, Trace]], title: str) -> Replay:
         Labels and traces, in the order in which they stand side by side. All of one building and one team.
     title
         For people.
+    about
+        By label: what the method is, in a few words; shown below the label.
 
     Raises
     ------
@@ -86,7 +88,10 @@ def replay(traces: Sequence[tuple[str, Trace]], title: str) -> Replay:
         building=_building(mission.building),
         kinds=[{"name": k.name, "armed": k.armed, "number": n} for k, n in mission.team.items()],
         tasks=[_task(task) for task in tasks],
-        traces=[_trace(label, trace, tasks.index(trace.task)) for label, trace in traces],
+        traces=[
+            _trace(label, trace, tasks.index(trace.task)) | {"meaning": (about or {}).get(label, "")}
+            for label, trace in traces
+        ],
     )
 
 

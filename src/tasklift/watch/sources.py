@@ -121,7 +121,8 @@ def run_traces(
     seed
         One of the experiment's seeds.
     arms
-        Slugs; by default :data:`USUAL` where they are there, else the first three.
+        Slugs; by default the policy that ``train`` handed over, else :data:`USUAL` where they are there, else the
+        first three.
     trials, stage
         As in :func:`study_traces`.
 
@@ -137,6 +138,11 @@ def run_traces(
         for axis, wanted in given.items():
             there = _among(there, axis, wanted)
         slugs = list(dict.fromkeys(cell["arm"] for cell in there))
+        handed = store.path.parent / "policy.json"
+        if arms is None and trials is None and stage == "target" and handed.exists():
+            # an experiment of train: what it hands over, in an episode that nothing was learned in
+            mission = study.mission(there[0][study.axis], there[0]["map"]).with_reading(relocate=True)
+            return policy_traces(mission, [("handed over", Policy.load(handed))], seed=seed, trial=1, greedy=False)
         arms = list(arms or [arm for arm in USUAL if arm in slugs] or slugs[:3])
         cells = [_among(there, "arm", arm)[0] for arm in arms]
         traces = study_traces(

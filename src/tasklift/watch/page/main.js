@@ -29,6 +29,7 @@ class Player {
     const { building, kinds, title, traces } = this.replay;
     document.title = title;
     byId("title").textContent = title;
+    byId("legend").open = firstVisit() && window.innerHeight >= 820;
     const team = kinds.map((k) => `${k.number} ${k.name}`).join(" and ");
     const [{ hostiles }] = traces;
     const name = title.includes(building.name) ? "" : `${building.name}: `;
@@ -246,6 +247,17 @@ class Player {
       this.shown = t;
     }
     this.inspector.show(t);
+  }
+}
+
+/** Whether nobody has opened a replay here before; browsers that keep nothing say yes every time. */
+function firstVisit() {
+  try {
+    const before = localStorage.getItem("tasklift-replay");
+    localStorage.setItem("tasklift-replay", "seen");
+    return before === null;
+  } catch {
+    return true;
   }
 }
 

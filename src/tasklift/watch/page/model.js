@@ -146,7 +146,7 @@ class Trace {
     need(Number.isInteger(S) && S >= 1, `${where}: its weights are missing`);
     const get = (name, shape, low, high) => unpack(doc.arrays[name], `${where}, ${name}`, shape, low, high);
     Object.assign(trace, {
-      building, kinds, task, F, R, A, label: String(doc.label), seed: String(doc.seed), trial: doc.trial, success: doc.success === true,
+      building, kinds, task, F, R, A, label: String(doc.label), meaning: typeof doc.meaning === "string" ? doc.meaning : "", seed: String(doc.seed), trial: doc.trial, success: doc.success === true,
       limit: doc.limit, weaponsNeeded: doc.weapons_needed, reading: doc.reading, learner: doc.learner,
       weights: await get("weights", [S, A], 0, 1e300),
       signal: await get("signal", [S, A], -1e300, 1e300),

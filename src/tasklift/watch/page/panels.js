@@ -44,8 +44,17 @@ class Panel {
     });
     const trial = `trial ${trace.trial}`, seed = `seed ${trace.seed}`;
     this.head = make("header", {}, make("span", { class: "label" }, trace.label), make("span", { class: "trial" }, trace.label.endsWith(trial) ? seed : `${trial} · ${seed}`), this.chip);
+    const about = `${this.ends()}${trace.meaning ? ` ${trace.meaning[0].toUpperCase()}${trace.meaning.slice(1)}.` : ""}`;
+    this.head.append(make("p", { class: "about", title: about }, about));
     this.element = make("article", { class: "panel" }, this.head, this.plan, stats);
     this.scene = new Scene(this.canvas, trace, view, plan);
+  }
+
+  /** How the episode ends, for those who have not watched it. */
+  ends() {
+    const { trace } = this, n = trace.numbers(trace.F - 1), lost = trace.reading.drill ? "would be lost" : "lost";
+    const how = { done: `Solved in ${trace.F - 1} steps`, "all lost": "All robots are lost", "out of time": "Not solved in time" };
+    return `${how[n.outcome] || "Not over yet"}, ${n.losses} ${lost}.`;
   }
 
   show(time) {
@@ -180,8 +189,7 @@ function upTo(events, time) {
 class Log {
   constructor(player) {
     this.player = player;
-    const many = player.panels.some(({ trace }) => trace.events.length > 400);
-    this.wanted = new Set(Object.keys(NAMES).filter((type) => !(many && (type === "split" || type === "merge"))));
+    this.wanted = new Set(Object.keys(NAMES).filter((type) => type !== "split" && type !== "merge"));
     this.buttons = {};
     for (const type of Object.keys(NAMES)) {
       const button = make("button", { "aria-pressed": String(this.wanted.has(type)), "data-type": type });
@@ -294,7 +302,7 @@ class Inspector {
     const list = make("dl", { class: variables.length === 3 ? "facts three" : "facts" });
     const name = (variable, value) => (variable.labels[value] === undefined ? variable.name : `${variable.name} ${variable.values[value]}`);
     variables.forEach((variable, i) => {
-      const item = make("div", { title: variable.meaning, [`data-${what}`]: variable.name }, make("dt", {}, name(variable, values[i])), make("dd", {}, told(variable, values[i])));
+      const item = make("div", { title: name(variable, values[i]), [`data-${what}`]: variable.name }, make("dt", {}, variable.meaning || name(variable, values[i])), make("dd", {}, told(variable, values[i])));
       if (before.length && before[i] !== values[i]) item.className = "new";
       list.append(item);
     });

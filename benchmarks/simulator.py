@@ -111,7 +111,7 @@ def oracle_rate(mission):
         mission,
         np.full(task.shape, 1.5).tolist(),
         [task.output_values(a) for a in range(task.shape[1])],
-        lambda seen: ((seen[0] * 2 + seen[1]) * 3 + seen[2]) * 5 + seen[3] - 1,
+        lambda seen: task.input_index({v.name: v.values[seen[v.name]] for v in task.inputs}),
         task.signal_table().tolist(),
         Reinforcement(),
     )

@@ -250,7 +250,7 @@ def test_the_page_follows_maps_and_weights_as_the_oracle_has_them(show, case):
 
     oracle = Witness(
         mission, weights.tolist(), [task.output_values(a) for a in range(44)],
-        lambda seen: task.input_index({variable.name: seen[variable.name] for variable in task.inputs}),
+        lambda seen: task.input_index({v.name: v.values[seen[v.name]] for v in task.inputs}),
         task.signal_table().tolist(), rules,
     )  # fmt: skip
     oracle.draws = {}

@@ -23,6 +23,7 @@ from tasklift.learning.chances import Chances as Chances
 from tasklift.learning.compare import compare as compare
 from tasklift.learning.curriculum import Curriculum as Curriculum
 from tasklift.learning.guard import Guard as Guard
+from tasklift.learning.guard import Watch as Watch
 from tasklift.learning.learner import Curve as Curve
 from tasklift.learning.learner import InTurn as InTurn
 from tasklift.learning.learner import Learner as Learner
@@ -76,6 +77,7 @@ from tasklift.learning.worlds import (
 from tasklift.learning.worlds import (
     joined as joined,
 )
+from tasklift.networks.extend import extend_module as extend_module
 from tasklift.tasks.policy import (
     Policy as Policy,
 )

@@ -191,3 +191,61 @@ class GuardReport:
         done = f"; {', '.join(self.actions)}" if self.actions else ""
         helps, hurts = self.evidence
         return f"{verdict} ({self.pairs} pairs; evidence for helps {helps:.3g}, for hurts {hurts:.3g}{done})"
+
+
+class Watch:
+    """A guard for a training loop of one's own: tell it of every episode of both learners, and ask.
+
+    Parameters
+    ----------
+    guard : Guard
+        What is measured and with which error rate. Its ``window`` is not used: episodes are compared.
+
+    Raises
+    ------
+    TaskliftError
+        For another learner than ``"transferred"`` or ``"control"``.
+
+    Examples
+    --------
+    >>> watch = Watch(Guard("return"))
+    >>> for k in range(20):
+    ...     _ = watch.episode("control", returned=1.0)
+    ...     verdict = watch.episode("transferred", returned=2.0)
+    >>> verdict, watch.pairs
+    ('helps', 20)
+    """
+
+    def __init__(self, guard: Guard) -> None:
+        if guard.window is not None:
+            raise TaskliftError("guard, window: a watch compares episodes; leave the window out")
+        self.guard, self.test = guard, SequentialTest(guard.alpha)
+        self.scores: dict[str, list[float]] = {"transferred": [], "control": []}
+
+    def episode(
+        self, learner: str, returned: float = 0.0, steps: int = 0, losses: float = 0, success: bool = False
+    ) -> Verdict:
+        """Take in one episode of the ``"transferred"`` or the ``"control"`` learner; return the verdict so far."""
+        if learner not in self.scores:
+            raise TaskliftError(f"watch, learner: expected transferred or control, found {learner!r}")
+        score = {"return": returned, "steps": -float(steps), "losses": -float(losses), "success": float(success)}
+        self.scores[learner].append(plain_number(score[self.guard.measure], f"watch, {self.guard.measure}"))
+        ours, control = self.scores["transferred"], self.scores["control"]
+        while self.pairs < min(len(ours), len(control)):
+            self.test.update(self.guard.difference(ours[self.pairs], control[self.pairs]))
+        return self.verdict
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict so far, over the pairs of equally experienced episodes."""
+        return self.test.verdict
+
+    @property
+    def pairs(self) -> int:
+        """The number of pairs that were compared."""
+        return self.test.pairs
+
+    @property
+    def report(self) -> GuardReport:
+        """The verdict with its evidence."""
+        return GuardReport(self.verdict, self.pairs, self.test.evidence)

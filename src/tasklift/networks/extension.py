@@ -1,0 +1,220 @@
+"""What is kept of a network's extension, and what of its training follows by it."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.errors import TaskliftError
+from tasklift.tasks.task import Task
+from tasklift.tasks.variable import Variable
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+    from torch.optim import Optimizer
+
+Encoding = Literal["one-hot", "scalar", "flat"]
+Floats = NDArray[np.float64]
+
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of a network: how many columns it has, and where the source task's columns lie among them.
+
+    ``old``: for each source column its place (source columns,). ``mix``: float64 (columns, source columns), what each
+    column is a copy or a mean of.
+    """
+
+    old: list[int]
+    mix: Floats
+
+    @property
+    def size(self) -> int:
+        """The number of columns."""
+        return len(self.mix)
+
+    @property
+    def new(self) -> list[int]:
+        """The columns that the source task does not have."""
+        return [i for i in range(self.size) if i not in set(self.old)]
+
+
+@dataclass
+class Extension:
+    """How a network was extended, and what else of its training can follow.
+
+    The ``extension`` of what :func:`extend_module` returns.
+    """
+
+    source: Task
+    target: Task
+    encoding: Encoding
+    inputs: Side
+    outputs: Side
+    #: parameters by name: what is done to a moment of the old shape
+    places: dict[str, tuple[Side | None, Side | None]] = field(default_factory=dict)
+    first: tuple[str, ...] = ()
+    last: tuple[str, ...] = ()
+
+    def observations(self, observations: Any, fill: Mapping[str, Any] | None = None) -> NDArray[Any]:
+        """Return observations (…, F of the source) as the target task's (…, F of the target).
+
+        Parameters
+        ----------
+        fill
+            ``{variable: value}`` of inputs that the source task does not have. Default: the value at which the source
+            task fixed it; of a removed input, the first.
+        """
+        array = np.asarray(observations)
+        if self.encoding == "flat":
+            # one of the target's inputs that stands for the source's: fixed values, and first values of what was removed
+            return representatives(self.source, self.target, fill or {})[array]
+        if array.shape[-1:] != (len(self.inputs.old),):
+            raise TaskliftError(
+                f"extension: expected observations of {len(self.inputs.old)} columns (of {self.source.name!r}), "
+                f"found the shape {array.shape}"
+            )
+        wide = np.zeros((*array.shape[:-1], self.inputs.size), dtype=array.dtype)
+        kept = self.source.kept_positions(self.source.ancestor(self.target))
+        ours, start = {v.name for v in self.source.inputs}, 0
+        for variable in self.target.inputs:
+            width = len(variable) if self.encoding == "one-hot" else 1
+            if variable.name not in ours:
+                position = (kept[variable.name] or (0,))[0]
+                if variable.name in (fill or {}):
+                    position = variable.position((fill or {})[variable.name], "extension, fill")
+                if self.encoding == "one-hot":
+                    wide[..., start + position] = 1
+                else:
+                    wide[..., start] = codes(variable)[position]
+            start += width
+        wide[..., self.inputs.old] = array
+        return wide
+
+    def positions(self, positions: Any, fill: Mapping[str, Any] | None = None) -> NDArray[np.int64]:
+        """Return positions of values (…, variables), as of a MultiDiscrete space, as the target task's.
+
+        Parameters
+        ----------
+        fill
+            As of :meth:`observations`.
+        """
+        array = np.asarray(positions).astype(np.int64)
+        kept = self.source.kept_positions(self.source.ancestor(self.target))
+        ours = {v.name: k for k, v in enumerate(self.source.inputs)}
+        wide = np.zeros((*array.shape[:-1], len(self.target.inputs)), dtype=np.int64)
+        for k, variable in enumerate(self.target.inputs):
+            inside = np.asarray(kept[variable.name] or (0,))
+            if variable.name in ours:
+                wide[..., k] = inside[array[..., ours[variable.name]]]
+            elif variable.name in (fill or {}):
+                wide[..., k] = variable.position((fill or {})[variable.name], "extension, fill")
+            else:
+                wide[..., k] = inside[0]
+        return wide
+
+    def actions(self, actions: Any) -> NDArray[Any]:
+        """Return flat actions (outputs' indices) of the source task as the target's."""
+        return self.source.output_columns(self.source.ancestor(self.target))[np.asarray(actions)]
+
+    def statistics(self, mean: Any, variance: Any) -> tuple[Floats, Floats]:
+        """Return running means and variances (F,) for the target's columns: new ones begin with mean 0, variance 1."""
+        wide_mean, wide_variance = np.zeros(self.inputs.size), np.ones(self.inputs.size)
+        wide_mean[self.inputs.old], wide_variance[self.inputs.old] = np.asarray(mean), np.asarray(variance)
+        return wide_mean, wide_variance
+
+    def optimizer(self, optimizer: Optimizer, module: nn.Module, extended: nn.Module) -> Optimizer:
+        """Return an optimiser of the extended network with the old one's settings and moments; new entries have 0.
+
+        Parameters
+        ----------
+        optimizer
+            Of ``module``; stays as it is.
+        module, extended
+            The network before and after.
+
+        Raises
+        ------
+        TaskliftError
+            If the optimiser has parameters that are not the module's.
+        """
+        import torch
+
+        names = {id(parameter): name for name, parameter in module.named_parameters()}
+        fresh = dict(extended.named_parameters())
+        groups = []
+        for group in optimizer.param_groups:
+            if strange := [p for p in group["params"] if id(p) not in names]:
+                raise TaskliftError(
+                    f"extension, optimizer: {len(strange)} parameters are not the module's, the first of shape "
+                    f"{tuple(strange[0].shape)}; give the optimiser of this module"
+                )
+            groups.append({**group, "params": [fresh[names[id(p)]] for p in group["params"]]})
+        settings = {k: v for k, v in optimizer.defaults.items() if k in _arguments(type(optimizer))}
+        result = type(optimizer)(groups, **settings)
+        for parameter, state in optimizer.state.items():
+            name = names[id(parameter)]
+            result.state[fresh[name]] = {
+                key: self._moment(name, value)
+                if torch.is_tensor(value) and value.shape == parameter.shape
+                else copy.deepcopy(value)
+                for key, value in state.items()
+            }
+        return result
+
+    def _moment(self, name: str, value: Tensor) -> Tensor:
+        out, into = self.places.get(name, (None, None))
+        wide = value.clone()
+        for axis, side in ((0, out), (1, into)):
+            if side is not None:
+                shape = list(wide.shape)
+                shape[axis] = side.size
+                wider = wide.new_zeros(shape)
+                wider.index_copy_(axis, index_of(side.old, wide), wide)
+                wide = wider
+        return wide
+
+
+def codes(variable: Variable) -> list[float]:
+    """Return the numbers that stand for a variable's values in one column: the values, or else their positions."""
+    if all(isinstance(value, int | float) for value in variable.values):
+        return [float(value) for value in variable.values]
+    return [float(position) for position in range(len(variable))]
+
+
+def width(task: Task, encoding: Encoding) -> int:
+    """Return the number of columns of an observation; of a flat one, the number of inputs."""
+    if encoding == "flat":
+        return task.shape[0]
+    return sum(len(v) for v in task.inputs) if encoding == "one-hot" else len(task.inputs)
+
+
+def representatives(source: Task, target: Task, fill: Mapping[str, Any]) -> NDArray[np.int64]:
+    """Return, for each input of the source, the row of the target's input that stands for it."""
+    ancestor = source.ancestor(target)
+    kept, ours = source.kept_positions(ancestor), {v.name for v in source.inputs}
+    rows = np.zeros(1, dtype=np.int64)
+    for variable in ancestor.inputs:
+        inside = kept[variable.name] or (0,)
+        if variable.name in fill and variable.name not in ours:
+            inside = (variable.position(fill[variable.name], "extension, fill"),)
+        rows = np.add.outer(rows * len(variable), np.asarray(inside)).ravel()
+    return rows
+
+
+def _arguments(kind: type) -> set[str]:
+    """Return the names of the arguments that make an optimiser."""
+    return set(inspect.signature(kind).parameters)
+
+
+def index_of(positions: Sequence[int], like: Tensor) -> Tensor:
+    import torch
+
+    return torch.tensor(list(positions), dtype=torch.long, device=like.device)

@@ -289,7 +289,7 @@ def test_priors_of_a_factored_head() -> None:
     wide = extend_module(net, INPUTS_ONLY, FULL, [swap("y", (0, 3), {"c": 0})], head="factored")
     assert torch.equal(wide(x)[1], bare(x)[1])
     assert torch.equal(wide(x)[0], bare(x)[0][[0, 1, 2, 6, 4, 5, 3]])
-    with pytest.raises(TaskliftError, match="one output"):
+    with pytest.raises(TaskliftError, match="a prior about one, found"):
         extend_module(net, INPUTS_ONLY, FULL, [swap("y", (0, 3), {"x": 0})], head="factored")
 
 

@@ -1,8 +1,8 @@
 """Networks (``torch.nn.Module``) for a task with more inputs or outputs than the one they were trained on.
 
-:func:`extend_module` is for networks what :meth:`.Policy.extend` is for tables. On the source task's inputs, the outputs
-are the same numbers. What belongs to the network follows by :class:`.Extension`: the optimiser's moments, statistics
-of normalisation, experience. Needs the extra ``torch``.
+:func:`extend_module` is for networks what :meth:`.Policy.extend` is for tables. On the source task's inputs, the
+outputs are the same numbers. :class:`.Extension` takes along what belongs to the network: the optimiser's moments,
+statistics of normalisation, experience. Needs the extra ``torch``.
 
 Shapes: ``S`` inputs and ``A`` outputs of a task; ``F`` columns of an observation.
 """
@@ -62,8 +62,8 @@ def extend_module(
         value (or its position, if it is not a number); ``"flat"``, the index of the input, for an embedding.
         Default: by the width of the first layers.
     head
-        What the network answers: ``"flat"``, one number per combination of outputs; ``"factored"``, one per value of each
-        output. Default: by the width of the last layers.
+        What the network answers: ``"flat"``, one number per combination of outputs; ``"factored"``, one per value of
+        each output. Default: by the width of the last layers.
     first, last
         Names of the layers that see the input, and of those that give the outputs. Default: found by their width.
     outputs
@@ -71,8 +71,8 @@ def extend_module(
     new_inputs
         What a value that a restriction had left out begins as: the mean of the others, or nothing.
     new_actions
-        The logit or value of new outputs; ``"copied"``: as :meth:`.Policy.extend` does; ``"below"``: copied and 5 lower, so
-        that the best output stays the best.
+        The logit or value of new outputs; ``"copied"``: as :meth:`.Policy.extend` does; ``"below"``: copied and 5
+        lower, so that the best output stays the best.
 
     Raises
     ------
@@ -312,8 +312,8 @@ def _know(wide: nn.Module, extension: Extension, plan: Any, prior: Sequence[Prio
 
     if plan.normalised or plan.statistics:
         raise TaskliftError(
-            f"extend_module: the network normalises its input ({(*plan.normalised, *plan.statistics)[0]!r}), so a prior "
-            "cannot see values; normalise before the network, and only columns that no prior names"
+            f"extend_module: the network normalises its input ({(*plan.normalised, *plan.statistics)[0]!r}), so a "
+            "prior cannot see values; normalise before the network, and only columns that no prior names"
         )
     seen = Seen()
     for name in plan.first:

@@ -74,7 +74,7 @@ class Extension:
         """
         array = np.asarray(observations)
         if self.encoding == "flat":
-            # one of the target's inputs that stands for the source's: fixed values, and first values of what was removed
+            # an input of the target stands for each of the source's: fixed values, first values of what was removed
             return representatives(self.source, self.target, fill or {})[array]
         if array.shape[-1:] != (len(self.inputs.old),):
             raise TaskliftError(
@@ -215,6 +215,7 @@ def _arguments(kind: type) -> set[str]:
 
 
 def index_of(positions: Sequence[int], like: Tensor) -> Tensor:
+    """Return positions as an index tensor beside another tensor."""
     import torch
 
     return torch.tensor(list(positions), dtype=torch.long, device=like.device)

@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 ARGS   ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo chromium test test-slow fuzz bench instructions docs test-docs wheels format clean
+.PHONY: help demo chromium test test-slow fuzz bench instructions docs test-docs test-torch wheels format clean
 
 help:  ## say what each target does
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -37,6 +37,10 @@ test: $(STAMP) chromium  ## everything CI runs: lint, types, import contracts, t
 
 test-slow: $(STAMP)  ## the tests that are slow by nature
 	$(BIN)/pytest -m slow $(ARGS)
+
+test-torch: $(STAMP)  ## what needs PyTorch (4 GB): the surgery of networks, Stable-Baselines3
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[torch]' 'stable-baselines3>=2.4' 'onnxscript>=0.2'
+	$(BIN)/pytest tests/networks $(ARGS)
 
 fuzz: $(STAMP)  ## give every reader 100,000 damaged files (ARGS="policy --runs 1000")
 	$(BIN)/python tests/fuzz.py $(ARGS)

@@ -113,9 +113,10 @@ def _end(reason: str, code: int) -> NoReturn:
         with suppress(OSError):
             for line in reason.splitlines():
                 click.echo(one_line(f"tasklift: {line}"), err=True)
-    try:
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except OSError:  # a full disk, or a closed pipe: Python would try again at its end, and say so
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except OSError:  # a full disk, or a closed pipe: Python would try again at its end, and say so
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)

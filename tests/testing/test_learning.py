@@ -99,7 +99,8 @@ def test_a_learner_of_ones_own_is_an_equal_citizen() -> None:
     assert run.policy.provenance["settings"] == {"size": 1.0}
     comparison = compare(curriculum, seeds=4, performance="steps")
     assert comparison.finding("losses, target only").curriculum < comparison.finding("losses, target only").direct
-    mixed = [curriculum.stages[0], replace(curriculum.stages[1], learner=tl.Reinforcement(), guard=None, trials=5)]
+    other = tl.Reinforcement(loss_signal=-0.5)
+    mixed = [curriculum.stages[0], replace(curriculum.stages[1], learner=other, guard=None, trials=5)]
     assert Curriculum(mixed).run(0).ledger.entries[1].trials == 5
     with pytest.raises(tl.TaskliftError, match="stage 'storms': random search cannot weigh"):
         Curriculum([replace(curriculum.stages[1], trust=3.0)]).check()

@@ -11,6 +11,7 @@ _GROUPS = {
     "tasks": "Tasks and policies",
     "learning": "Learning and comparing",
     "building": "The building search",
+    "networks": "Networks",
     "errors": "Errors",
 }
 

@@ -44,7 +44,8 @@ print(json.dumps({"per_cpu_s": calls * AGENT_STEPS / spent, "per_wall_s": calls 
 class Peer:
     """One environment: what to install, what one step of it does, and a script that defines ``step``.
 
-    ``single`` and ``batch`` define ``AGENT_STEPS`` (agent-steps per call) and ``step()``; None: there is no such way.
+    ``single`` and ``batch`` define ``AGENT_STEPS`` (agent-steps per call) and ``step()``. None: the environment is
+    not run alone, or not in batches.
     """
 
     name: str
@@ -65,6 +66,22 @@ def step():
         if not env.agents:
             env.reset()
         env.step({agent: space.sample() for agent, space in zip(agents, spaces) if agent in env.agents})
+"""
+
+#: For environments in JAX: 20 steps of a whole batch in one compiled call, by the script's `one(state, key)`.
+SCANNED = """
+LENGTH = 20
+@jax.jit
+def many(states, keys):
+    return jax.vmap(lambda s, k: jax.lax.scan(one, s, jax.random.split(k, LENGTH))[0])(states, keys)
+key = jax.random.PRNGKey(0)
+states = states_of(jax.vmap(env.reset)(jax.random.split(key, BATCH)))
+AGENT_STEPS = 15 * BATCH * LENGTH
+def step():
+    global states, key
+    key, sub = jax.random.split(key)
+    states = many(states, jax.random.split(sub, BATCH))
+    jax.block_until_ready(states)
 """
 
 PEERS = (
@@ -135,22 +152,11 @@ from jumanji.environments import RobotWarehouse
 made = RandomGenerator(shelf_rows=2, shelf_columns=3, column_height=8, num_agents=15, sensor_range=1,
                        request_queue_size=15)
 env = AutoResetWrapper(RobotWarehouse(generator=made))
-LENGTH = 20
 def one(state, key):
     action = jax.random.randint(key, (15,), 0, 5)
     return env.step(state, action)[0], None
-@jax.jit
-def many(states, keys):
-    return jax.vmap(lambda s, k: jax.lax.scan(one, s, jax.random.split(k, LENGTH))[0])(states, keys)
-key = jax.random.PRNGKey(0)
-states = jax.vmap(env.reset)(jax.random.split(key, BATCH))[0]
-AGENT_STEPS = 15 * BATCH * LENGTH
-def step():
-    global states, key
-    key, sub = jax.random.split(key)
-    states = many(states, jax.random.split(sub, BATCH))
-    jax.block_until_ready(states)
-""",
+states_of = lambda reset: reset[0]
+""" + SCANNED,
     ),
     Peer(
         "jaxmarl", "jaxmarl", "points in a plane, in JAX (JaxMARL)", "15",
@@ -158,25 +164,14 @@ def step():
         """
 import jax, jaxmarl
 env = jaxmarl.make("MPE_simple_spread_v3", num_agents=15, num_landmarks=15)
-LENGTH = 20
 def one(carry, key):
     state = carry
     keys = jax.random.split(key, 16)
     actions = {a: env.action_space(a).sample(keys[i]) for i, a in enumerate(env.agents)}
     _, state, _, _, _ = env.step(keys[15], state, actions)
     return state, None
-@jax.jit
-def many(states, keys):
-    return jax.vmap(lambda s, k: jax.lax.scan(one, s, jax.random.split(k, LENGTH))[0])(states, keys)
-key = jax.random.PRNGKey(0)
-states = jax.vmap(env.reset)(jax.random.split(key, BATCH))[1]
-AGENT_STEPS = 15 * BATCH * LENGTH
-def step():
-    global states, key
-    key, sub = jax.random.split(key)
-    states = many(states, jax.random.split(sub, BATCH))
-    jax.block_until_ready(states)
-""",
+states_of = lambda reset: reset[1]
+""" + SCANNED,
     ),
     Peer(
         "gamms", "gamms", "agents and adversaries on a graph (GAMMS)", "15",

@@ -1,6 +1,6 @@
 """Small tasks whose best simplification is known by construction, and how often the search for it is right.
 
-``python tests/planted.py --tasks 100`` prints the share of right answers for each kind of task. In all of them a robot
+``python tests/planted.py --tasks 50`` prints the share of right answers for each kind of task. In all of them a robot
 drives along an aisle. The signal, at even places one way and at odd places the other, says whether driving on crashes.
 The colour of the wall changes at random.
 
@@ -73,11 +73,7 @@ def answer(kind: str, number: int, folder: Path) -> Answer:
 def right(kind: str, found: Answer) -> bool:
     """Return whether the answer is the planted one."""
     words = None if found.best is None else found.best.words
-    if kind == "independent":
-        return words == "without colour"
-    if kind == "decoy":
-        return words == "without colour"
-    return words is None
+    return words == ("without colour" if kind in ("independent", "decoy") else None)
 
 
 def main() -> None:
@@ -85,7 +81,7 @@ def main() -> None:
     import tempfile
 
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--tasks", type=int, default=100)
+    asked.add_argument("--tasks", type=int, default=50)
     asked.add_argument("--kinds", default=",".join(KINDS))
     options = asked.parse_args()
     for kind in options.kinds.split(","):

@@ -27,7 +27,7 @@ def test_without_metadata_the_command_names_the_package(monkeypatch: pytest.Monk
     assert str(missing("Ray", "ray")).endswith("type: pip install ray")
 
 
-@pytest.mark.parametrize("extra", ["plans", "dxf", "gym", "approx", "ray", "parquet", "torch"])
+@pytest.mark.parametrize("extra", ["plans", "dxf", "gym", "approx", "ray", "parquet", "pandas", "torch"])
 def test_every_extra_that_the_code_names_is_declared(extra: str) -> None:
     needs = importlib.metadata.requires("tasklift") or []
     assert any(f"extra == '{extra}'" in need.replace('"', "'") for need in needs)

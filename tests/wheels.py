@@ -32,6 +32,7 @@ WORKS = {
     "approx": "import tasklift as tl\nhunt = tl.Mission(tl.generate(seed=7), '10+5')\n"
     "print(tl.approximate(tl.Policy.equal(hunt.task), 'tree', max_leaves=4))",
     "parquet": "import pyarrow.parquet",
+    "pandas": "import pandas",
     "ray": "import ray, tasklift.lab.ray",
     "torch": "import torch",
 }
@@ -66,7 +67,7 @@ def main() -> None:
     """Build, then try every combination that was asked for."""
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--pythons", default="3.11,3.12,3.13")
-    asked.add_argument("--extras", default="plans,dxf,gym,approx,parquet")
+    asked.add_argument("--extras", default="plans,dxf,gym,approx,parquet,pandas")
     options = asked.parse_args()
     dist = ROOT / "dist"
     shutil.rmtree(dist, ignore_errors=True)

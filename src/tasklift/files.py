@@ -9,6 +9,7 @@ import os
 import re
 import secrets
 import stat
+import tempfile
 import tomllib
 import warnings
 import zipfile
@@ -131,6 +132,16 @@ def output_file(path: PathLike, suffixes: Collection[str] = (), *, force: bool =
         reason = getattr(error, "strerror", None) or error
         raise TaskliftError(f"{target}: cannot be a file's name ({reason})") from error
     return target
+
+
+@contextmanager
+def results_folder(path: PathLike | None, own: Sequence[str]) -> Iterator[Path]:
+    """Yield :func:`output_folder`; for None, a temporary folder, which goes when the block ends."""
+    if path is not None:
+        yield output_folder(path, own)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
 
 
 def output_folder(path: PathLike, own: Sequence[str] = (), parts: Sequence[str] = ()) -> Path:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import html
+import io
 import math
 import re
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 #: What a terminal or a log would obey instead of showing: controls, line ends, changes of direction, lone surrogates.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
@@ -63,6 +65,14 @@ def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[obje
     head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
     body = "".join(f"<tr>{''.join(f'<td>{html.escape(printable(c))}</td>' for c in row)}</tr>" for row in rows)
     return f"<table><caption>{html.escape(printable(caption))}</caption><tr>{head}</tr>{body}</table>"
+
+
+def html_picture(caption: str, figure: Any) -> str:
+    """Return a matplotlib figure for a notebook, as SVG below its caption."""
+    picture = io.StringIO()
+    figure.savefig(picture, format="svg")
+    svg = picture.getvalue()
+    return f"<p>{html.escape(caption)}</p>{svg[svg.index('<svg') :]}"
 
 
 def number(value: float, digits: int = 4) -> str:

@@ -92,6 +92,13 @@ def test_mistakes_are_refused_before_anything_is_trained(tmp_path: Path, change:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_file_that_is_no_spec_is_named_once(tmp_path: Path) -> None:
+    (tmp_path / "notes.md").write_text("# no spec")
+    with pytest.raises(TaskliftError) as refused:
+        simplify(tmp_path / "notes.md", tmp_path / "out")
+    assert str(refused.value).count("notes.md") == 1
+
+
 @pytest.mark.parametrize("kind", planted.KINDS)
 def test_planted_truths_are_found(kind: str, tmp_path: Path) -> None:
     assert planted.right(kind, planted.answer(kind, 1000, tmp_path))

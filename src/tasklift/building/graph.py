@@ -8,8 +8,6 @@ node or the edge at fault.
 from __future__ import annotations
 
 import hashlib
-import html
-import io
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +23,7 @@ from tasklift.building.coverage import coverage
 from tasklift.checks import check_name, number, plain, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, read_document, write_atomically
-from tasklift.text import shown
+from tasklift.text import html_picture, shown
 
 FORMAT, VERSION = "tasklift-building", 1
 
@@ -74,8 +72,8 @@ class Building:
         ``float64 (E,)`` (m), in the order of ``edges``.
     course_m
         How each corridor runs, in the order of ``edges``: the points ``float64 (k, 2)`` between its two nodes,
-        from the first to the second, without them; none for a straight corridor. ``None``: all are straight.
-        In the file it is the field ``course`` of an edge, ``[[x, y], …]``, missing where there are no points.
+        from the first to the second, without them; empty for a straight corridor. ``None``: all are straight.
+        In the file it is the field ``course`` of an edge, ``[[x, y], …]``. A straight corridor leaves it out.
     start
         The node where the robots begin.
     outline_m
@@ -213,9 +211,7 @@ class Building:
         return import_module("tasklift.building.draw").figure(self, hostiles)
 
     def _repr_html_(self) -> str:
-        picture = io.StringIO()
-        self.plot().savefig(picture, format="svg")
-        return f"<p>{html.escape(repr(self))}</p>{picture.getvalue()[picture.getvalue().index('<svg'):]}"
+        return html_picture(repr(self), self.plot())
 
     def line_m(self, edge: int) -> NDArray[np.float64]:
         """Return the corridor in row ``edge`` of ``edges`` as a polyline ``float64 (k, 2)``, k ≥ 2, nodes included."""

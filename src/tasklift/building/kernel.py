@@ -23,6 +23,8 @@ from numba import njit
 from tasklift.building import sensors
 from tasklift.building.randomness import (
     EDGE_DRAW,
+    FIRST,
+    GOLDEN,
     GREEDY_COIN,
     OUTPUT_DRAW,
     PLACE_DRAW,
@@ -49,9 +51,6 @@ _reinforced = inline(scalar.reinforce)
 _inverted = inline(scalar.time_inverted)
 _against_mean = inline(scalar.time_baseline)
 _goal = sensors.goal
-
-_FIRST = np.uint64(0xBF58476D1CE4E5B9)
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
 # --- keys of random draws: see tasklift.building.randomness ------------------------------------------------------
@@ -615,7 +614,7 @@ def search(lane):
 def team_at(slots, tick, place, progress, fresh):
     """Return the number of the team at a place and progress; the first one there founds team ``fresh`` (rule 4)."""
     mask = np.uint32(slots.shape[0] - 1)
-    address = (np.uint64(place) * _FIRST + np.uint64(progress)) * _GOLDEN
+    address = (np.uint64(place) * FIRST + np.uint64(progress)) * GOLDEN
     at = np.uint32(address >> np.uint64(32)) & mask
     while slots[at].tick == tick:
         if slots[at].place == place and slots[at].progress == progress:

@@ -20,15 +20,15 @@ inline = njit(forceinline=True, **UNCHECKED)
 # the purpose of a draw; those of other sensors are 8 and above
 OUTPUT_DRAW, EDGE_DRAW, GREEDY_COIN, PLACE_DRAW, DETECTOR_DRAW = 0, 1, 2, 3, 4
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
 
 @inline
 def mix(z):
     """Return the finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014) of a uint64."""
-    z = (z ^ (z >> np.uint64(30))) * _FIRST
+    z = (z ^ (z >> np.uint64(30))) * FIRST
     z = (z ^ (z >> np.uint64(27))) * _SECOND
     return z ^ (z >> np.uint64(31))
 
@@ -36,7 +36,7 @@ def mix(z):
 @inline
 def absorb(key, value):
     """Return the uint64 ``key`` with one more 64-bit ``value`` hashed into it."""
-    return mix(key ^ mix(np.uint64(value) + _GOLDEN))
+    return mix(key ^ mix(np.uint64(value) + GOLDEN))
 
 
 @inline

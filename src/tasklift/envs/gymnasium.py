@@ -312,8 +312,8 @@ class Factored:
         Raises
         ------
         TaskliftError
-            If there is no such table, if a wrapper may change what the table says, or if 2,000 transitions, played at
-            random in the environment, are not those of the table.
+            If the environment has no table, if a wrapper may change what the table says, or if 2,000 transitions,
+            played at random in the environment, differ from the table.
         """
         if not self.has_model:
             raise TaskliftError(f"{self._name}: has no table of transitions (P, initial_state_distrib)")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tasklift import stats
 from tasklift.checks import whole_number
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.learning.curriculum import Curriculum, CurriculumRun, Records
 from tasklift.learning.ledger import Ledger
 from tasklift.learning.stage import Stage
@@ -135,7 +135,7 @@ class Comparison:
         try:
             import pandas
         except ImportError as error:
-            raise TaskliftError("to_pandas needs pandas; type: pip install pandas") from error
+            raise missing("pandas", "pandas", "to_pandas") from error
         return pandas.DataFrame([finding.to_json() for finding in self.findings]).set_index("name")
 
     def __str__(self) -> str:

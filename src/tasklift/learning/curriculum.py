@@ -55,14 +55,12 @@ class Records:
         return self.outcomes[f"{stage} (control)" if fell_back else stage]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CurriculumRun(Records):
     """What a curriculum came to: its records, the policy learned last, and the rollback policy of that stage."""
 
     policy: Policy
     best: Policy
-
-    __repr__ = Records.__repr__
 
 
 @dataclass(frozen=True)
@@ -133,8 +131,7 @@ class Curriculum:
                 raise TaskliftError(f"stage {stage.name!r} cannot lead to {after.name!r}: {error}") from error
             if kinds[k] != kinds[k + 1]:
                 raise TaskliftError(
-                    f"stage {stage.name!r} cannot lead to {after.name!r}: "
-                    f"one learns {kinds[k]}s, one {kinds[k + 1]}s"
+                    f"stage {stage.name!r} cannot lead to {after.name!r}: one learns {kinds[k]}s, one {kinds[k + 1]}s"
                 )
 
     def run(

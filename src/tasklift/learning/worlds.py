@@ -10,7 +10,6 @@ Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 from __future__ import annotations
 
 import html
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -19,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasklift.checks import one_of, whole_number
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, missing
 from tasklift.style import SERIES
 from tasklift.tasks.task import Task
+from tasklift.text import html_picture
 
 # -- what comes of trials --------------------------------------------------------------------------------------
 
@@ -93,7 +93,7 @@ class Outcomes:
         try:
             import pandas
         except ImportError as error:
-            raise TaskliftError("to_pandas needs pandas; type: pip install pandas") from error
+            raise missing("pandas", "pandas", "to_pandas") from error
         if self.steps.ndim > 1:
             raise TaskliftError("to_pandas: expected the outcomes of one run, found several; take one with of_run(p)")
         columns: dict[str, Any] = {}
@@ -137,10 +137,9 @@ class Outcomes:
             return html.escape(repr(self))
         from matplotlib.figure import Figure
 
-        picture, figure = io.StringIO(), Figure(figsize=(6, 3), layout="constrained")
+        figure = Figure(figsize=(6, 3), layout="constrained")
         self.plot(ax=figure.subplots())
-        figure.savefig(picture, format="svg")
-        return f"<p>{html.escape(repr(self))}</p>{picture.getvalue()[picture.getvalue().index('<svg'):]}"
+        return html_picture(repr(self), figure)
 
     def summary(self) -> dict[str, Any]:
         """Return trials, mean steps, successes and losses in all, as JSON data."""

@@ -195,7 +195,7 @@ class WiderLSTM(_WiderRecurrent, nn.LSTM):
         """Return what the ordinary layer returns.
 
         In float32 on a processor, the ordinary layer is one compiled call that takes the inputs as they are. There
-        columns of zeros change nothing, as we measured; see docs/decisions.
+        columns of zeros change nothing, as we measured; see decision 56.
         """
         data = input.data if isinstance(input, nn.utils.rnn.PackedSequence) else input
         if data.dtype == torch.float32 and data.device.type == "cpu" and torch.backends.mkldnn.is_available():

@@ -46,6 +46,7 @@ from tasklift.building.graph import (
 )
 from tasklift.errors import TaskliftError
 from tasklift.files import read_text
+from tasklift.plans.extract.paths import line_length
 from tasklift.text import one_line
 
 HEADER = "tasklift-edits 1"
@@ -282,7 +283,7 @@ class _Sketch:
             )
         line = self.line(*best)
         before, after = np.concatenate([line[: index + 1], [spot]]), np.concatenate([[spot], line[index + 1 :]])
-        share = _length(before) / max(_length(before) + _length(after), 1e-9)
+        share = line_length(before) / max(line_length(before) + line_length(after), 1e-9)
         length, width, _ = self.edges[best]
         if min(share, 1 - share) * length < SHORTEST_M:
             if stand is None:
@@ -350,10 +351,6 @@ class _Sketch:
             outline_m=_outline(self.source, position),
             provenance=provenance,
         )
-
-
-def _length(line: Points) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def _nearest_on(line: Points, at: Points) -> tuple[float, int, Points]:

@@ -180,9 +180,9 @@ class Report:
         """
         self._look((one.name, one.slug or one.name) for one in series)
         drawn, data = curves_html(series, self._looks, x=x, x_label=x_label, y_label=y_label, y_range=y_range)
-        head = f"<h3>{escape(title)}</h3>" if title else ""
         block = f'<script type="application/json">{data_block(data)}</script>'
-        return self._add(_CHART, f'<figure data-chart="curves">{head}{drawn}{_caption(caption)}{block}</figure>')
+        shown = _title(title) + drawn + _caption(caption)
+        return self._add(_CHART, f'<figure data-chart="curves">{shown}{block}</figure>')
 
     def rows(
         self,
@@ -252,12 +252,16 @@ class Report:
                 self._looks[name] = look(slug, [*self._looks.values(), *LOOKS.values()])
 
     def _flat(self, drawn: str, title: str, caption: str, beside: int) -> Report:
-        head = f"<h3>{escape(title)}</h3>" if title else ""
-        return self._add(_BESIDE[beside], f"<figure>{head}{drawn}{_caption(caption)}</figure>")
+        return self._add(_BESIDE[beside], f"<figure>{_title(title)}{drawn}{_caption(caption)}</figure>")
 
     def _add(self, kind: str, text: str) -> Report:
         self._parts.append((kind, text))
         return self
+
+
+def _title(text: str) -> str:
+    """Return a chart's title: not a heading, since charts also stand above the first section."""
+    return f'<p class="title">{escape(text)}</p>' if text else ""
 
 
 def _caption(text: str) -> str:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-import tempfile
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ import numpy as np
 from tasklift.building import Mission
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, output_folder, write_atomically
+from tasklift.files import canonical_json, results_folder, write_atomically
 from tasklift.lab import FILE_NAME, Cell, CellResult, Progress, Spec, Store, run
 from tasklift.learning.compare import Comparison, judged, learn_directly
 from tasklift.learning.curriculum import Curriculum, Records
@@ -27,7 +25,7 @@ from tasklift.learning.ledger import Entry, Ledger
 from tasklift.learning.model import Model
 from tasklift.learning.worlds import Outcomes, StepOutcomes
 from tasklift.studies.own_code import OwnCode
-from tasklift.studies.spec_file import curriculum_of, read_spec
+from tasklift.studies.spec_file import about, curriculum_of, read_spec
 from tasklift.studies.study import MOST_SEEDS
 from tasklift.tasks.policy import Policy
 
@@ -70,10 +68,10 @@ def run_spec(
         the spec raises in training, with its file and line.
     """
     document = read_spec(path)
-    try:
+    with about(path):
         chosen = whole_number(document.get("seeds", 20) if seeds is None else seeds, "seeds", 2, MOST_SEEDS)
         study = SpecStudy(document, Path(path).parent, chosen, allow_imports)
-        with _folder(out) as folder, Store.open(folder / FILE_NAME, study.spec()) as store:
+        with results_folder(out, (FILE_NAME,)) as folder, Store.open(folder / FILE_NAME, study.spec()) as store:
             run(store, study.cells(), study.work, workers=study.workers, progress=progress)
             comparison = study.comparison(store)
             if out is not None:
@@ -81,18 +79,7 @@ def run_spec(
                 comparison.policy.save(folder / "policy.json")
                 write_atomically(folder / "comparison.txt", f"{comparison}\n")
                 write_atomically(folder / "comparison.json", canonical_json(told | comparison.to_json()) + "\n")
-    except TaskliftError as error:
-        raise TaskliftError(f"{path}: {error}") from error
     return comparison
-
-
-@contextmanager
-def _folder(out: str | os.PathLike[str] | None) -> Iterator[Path]:
-    if out is not None:
-        yield output_folder(out, (FILE_NAME,))
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,7 @@ spends as much on the target task itself.
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -24,13 +22,13 @@ from tasklift import stats
 from tasklift.building import Mission
 from tasklift.checks import check_fields, one_of, whole_number
 from tasklift.errors import TaskliftError
-from tasklift.files import canonical_json, output_folder, write_atomically
+from tasklift.files import canonical_json, results_folder, write_atomically
 from tasklift.lab import FILE_NAME, Cell, CellResult, Progress, Spec, Store, run
 from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.model import Model
 from tasklift.learning.worlds import StepOutcomes
 from tasklift.studies.own_code import OwnCode
-from tasklift.studies.spec_file import curriculum_of, read_spec
+from tasklift.studies.spec_file import about, curriculum_of, read_spec
 from tasklift.tasks.task import Task
 
 SCRATCH = "scratch"
@@ -245,10 +243,9 @@ class SimplifyStudy:
 
 def study_of(path: str | os.PathLike[str], *, allow_imports: bool = False) -> SimplifyStudy:
     """Return the search that a spec asks for; parameters and errors as in :func:`simplify`."""
-    try:
-        return SimplifyStudy(read_spec(path), Path(path).parent, allow_imports)
-    except TaskliftError as error:
-        raise TaskliftError(f"{path}: {error}") from error
+    document = read_spec(path)
+    with about(path):
+        return SimplifyStudy(document, Path(path).parent, allow_imports)
 
 
 def simplify(
@@ -281,24 +278,12 @@ def simplify(
         For whatever is wrong with the spec or the folder, before anything is trained.
     """
     study = study_of(path, allow_imports=allow_imports)
-    try:
-        with _folder(out) as folder:
-            answer = search(study, folder, progress)
-            if out is not None:
-                write_atomically(folder / "curriculum.json", canonical_json(dict(answer.document)) + "\n")
-                write_atomically(folder / "answer.txt", "\n".join(answer.lines) + "\n")
-    except TaskliftError as error:
-        raise TaskliftError(f"{path}: {error}") from error
+    with about(path), results_folder(out, (FILE_NAME,)) as folder:
+        answer = search(study, folder, progress)
+        if out is not None:
+            write_atomically(folder / "curriculum.json", canonical_json(dict(answer.document)) + "\n")
+            write_atomically(folder / "answer.txt", "\n".join(answer.lines) + "\n")
     return answer
-
-
-@contextmanager
-def _folder(out: str | os.PathLike[str] | None) -> Iterator[Path]:
-    if out is not None:
-        yield output_folder(out, (FILE_NAME,))
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder)
 
 
 def search(study: SimplifyStudy, folder: Path, progress: Progress | None = None) -> Answer:

@@ -36,7 +36,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,15 @@ def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:
     if document.get("performance", "return") not in ("return", "steps", "success"):
         raise TaskliftError(f"{where}: performance is return, steps or success, found {document['performance']!r}")
     return document
+
+
+@contextmanager
+def about(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Put the name of the spec file before the errors of the block."""
+    try:
+        yield
+    except TaskliftError as error:
+        raise TaskliftError(f"{path}: {error}") from error
 
 
 def curriculum_of(

@@ -384,7 +384,6 @@ def _report(
             "dangerous episodes.")  # fmt: skip
     page.headline(says if certificate else f"No policy is ready: {_percent(ready)} of episodes must be solved.",
                   numbers(best, certificate, mission))  # fmt: skip
-    (folder / "figures").mkdir(exist_ok=True)
     _, picture = pictures.save(frontier_figure(found, ready), folder / "figures", "frontier")
     page.figure(picture, "Speed against safety: every policy learned, larger where it solves more. Each point of the "
                 "frontier is a file in `policies/`.")  # fmt: skip

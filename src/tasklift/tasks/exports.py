@@ -374,8 +374,8 @@ _PACKAGE_XML = """<?xml version="1.0"?>
   <name>%(name)s</name>
   <version>0.1.0</version>
   <description>A policy of the task %(task)s, exported by tasklift %(version)s</description>
-  <maintainer email="you@example.com">TODO: your name</maintainer>
-  <license>TODO: your licence</license>
+  <maintainer email="you@example.com">your name</maintainer>
+  <license>your licence</license>
   <exec_depend>rclpy</exec_depend>
   <exec_depend>std_msgs</exec_depend>
   <export>

@@ -6,8 +6,6 @@ applies a file, and what comes of it is drawn. What it saves is that file.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 from collections.abc import Callable
 from http import HTTPStatus
@@ -20,11 +18,8 @@ from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
 from tasklift.plans.edits import HEADER, LARGEST_EDITS_BYTES, apply_edits, as_places, parse_edits
 from tasklift.plans.floor import picture
-from tasklift.report.charts import data_block, escape
-from tasklift.style import GROUND, SCENE, css
+from tasklift.watch.html import filled
 from tasklift.watch.server import ADDRESS, PageServer, run
-
-_HERE = Path(__file__).parent / "page"
 
 
 class Editing:
@@ -48,28 +43,15 @@ class Editing:
 
     def page(self) -> str:
         """The page, with the building as the lines so far leave it."""
-        script = (_HERE / "edit.js").read_text(encoding="utf-8")
-        allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         plan = picture(self.building)
         document = {
             "building": drawn(self.apply(self.lines)),
             "lines": self.lines,
             "plan": None if plan is None else {"href": plan[0], "corners": plan[1]},
         }
-        parts = {
-            "policy": "default-src 'none'; img-src data:; style-src 'unsafe-inline'; connect-src 'self'; "
-            f"script-src 'sha256-{allowed}'",
-            "title": escape(self.building.name or "building"),
-            "style": css(GROUND, SCENE),
-            "data": data_block(document),
-            "script": script,
-        }
-        head, *rest = (_HERE / "edit.html").read_text(encoding="utf-8").split("{{")
-        pieces = [head]
-        for chunk in rest:
-            name, _, text = chunk.partition("}}")
-            pieces += [parts[name], text]
-        return "".join(pieces)
+        return filled(
+            "edit.html", self.building.name or "building", "edit.css", document, ("edit.js",), "connect-src 'self'; "
+        )
 
 
 def drawn(building: Building) -> dict[str, Any]:

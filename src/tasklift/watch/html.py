@@ -27,17 +27,28 @@ def page(document: Mapping[str, Any]) -> str:
     All text in the document reaches the page as text, never as markup. Besides, the page's content security
     policy allows this one script and no request.
     """
-    script = "".join(_part(name) for name in _SCRIPTS)
-    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return filled("page.html", document.get("title", ""), "page.css", document, _SCRIPTS)
+
+
+def filled(
+    template: str, title: str, sheet: str, document: Mapping[str, Any], scripts: Sequence[str], allowed: str = ""
+) -> str:
+    """Return a page of the folder ``page``: a template with its style sheet, data and scripts in it.
+
+    ``allowed`` adds a directive to the content security policy, which else allows these scripts and no request.
+    """
+    script = "".join(_part(name) for name in scripts)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; {allowed}script-src 'sha256-{digest}'"
     parts = {
-        "policy": f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{allowed}'",
-        "title": escape(document.get("title", "")),
-        "style": css(GROUND, SCENE) + _part("page.css"),
+        "policy": policy,
+        "title": escape(title),
+        "style": css(GROUND, SCENE) + _part(sheet),
         "data": data_block(document),
         "script": script,
     }
     # one pass over the template: what is filled in is not searched again
-    head, *rest = _part("page.html").split("{{")
+    head, *rest = _part(template).split("{{")
     pieces = [head]
     for chunk in rest:
         name, _, text = chunk.partition("}}")

@@ -26,10 +26,10 @@ AXIS_M = 3.0
 STEP_M = 0.1
 SHORTEST_AXIS_M = 0.8
 SHORT_AXIS_M = 0.3
-# Axes cross if the sine between them is above this; a junction may miss one of its axes by so much.
+# Axes cross if the sine between them is above this; a junction may miss one of its axes by this distance.
 LEAST_ANGLE = 0.4
 MISS_M = 0.4
-# The skeleton cuts a corner by at most so many half widths; walls along it would lead in its direction (the cosine).
+# The skeleton cuts a corner by at most this many half widths; walls along it would lead in its direction (the cosine).
 LONGEST_CHAMFER = 3.5
 ALONG = 0.79
 # A dead end up to this length is no corridor without facing walls, of at least the second length.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tasklift.plans.extract.space import EIGHT, Space, to_wall
 
-# A gap is at most so wide, and this part of the room's width; the wall that ends there has at least this length.
+# The widest gap, in metres and as a part of the room's width; and the least length of the wall that ends there.
 WIDEST_GAP_M = 8.0
 NARROWER = 0.85
 SHORTEST_WALL_M = 0.3
@@ -24,15 +24,15 @@ OPEN = 0.35
 LARGEST_MOUTH = 0.6
 # From a door one sees a wall within this distance: a corridor passes. Farther, and the gap is a corridor's mouth.
 PASSING_M = 3.0
-# Part of a region is a room behind a gap between two ends of one wall, which come so near to each other's line, if the
-# gap is at most so wide, at most this part of its border is such gaps, were it a square, and it is at most so many
-# times longer than wide.
+# Part of a region is a room behind a gap between two ends of one wall. Each number is a limit: the gap's width; how far
+# one end lies from the line of the other; how far they turn from each other; the part of the border that is gaps, were
+# the room a square; the ratio of its length to its width; and the border that may be a door to another region.
 WIDEST_ROOM_GAP_M = 4.0
 SAME_LINE_M = 0.45
-OPPOSITE = -0.8  # and lead towards each other (the cosine)
+OPPOSITE = -0.8  # a cosine
 LARGEST_OPENNESS = 0.22
 LONGEST_ROOM = 2.5
-DOOR_M = 1.5  # as much of its border may be a door to another region
+DOOR_M = 1.5
 # What is left over of a region is none of its own below this.
 SLIVER_M2 = 0.25
 

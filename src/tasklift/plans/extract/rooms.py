@@ -14,8 +14,8 @@ from tasklift.plans.extract.space import EIGHT, Space, to_wall
 # square.
 ROOM_HALF_WIDTH_M = 0.7
 ROOM_OPENNESS = 0.22
-# It is at most so many times longer than wide: with one way in; with doors in its long walls only, as corridors have
-# them at their ends; with several ways in this many times its half width (m), if all are doors, or else.
+# The largest ratio of its length to its width: with one way in; with doors in its long walls only (corridors have doors
+# at their ends). With several ways in the limit is this many times its half width (m): if all are doors; otherwise.
 ROOM_ELONGATION = 4.0
 LONG_ELONGATION = 8.0
 THROUGH_ELONGATION = 1.7

@@ -29,7 +29,7 @@ FRAME_M = 1.75
 LEAF_M = 1.1
 DEEP_FRAME_M = 3.0
 # Between two corridors a door is narrower than this part of both, and stands between walls of at least this extent, not
-# pillars; where a corridor leads around to the door's other side it is at least so wide.
+# pillars. Where a corridor leads around to the door's other side, the door has at least the third width.
 CORRIDOR_DOOR_RATIO = 0.58
 WALL_M = 3.0
 NARROWEST_DOOR_M = 0.8

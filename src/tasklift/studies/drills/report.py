@@ -382,15 +382,17 @@ def _numbers(found: Sequence[Contrast]) -> list[Number]:
     solved = one.last.difference.interval
     points = stats.Interval(100 * solved.estimate, 100 * solved.low, 100 * solved.high, solved.confidence, solved.n)
     return [
-        _times(one.first.fewer, f"times fewer robots lost than by direct's first {one.dangerous} episodes {where}"),
-        _times(one.last.fewer, f"times fewer than by its last {one.dangerous}, after {one.safe} more dangerous ones"),
+        _times(one.first.fewer, f"than by direct's first {one.dangerous} episodes {where}"),
+        _times(one.last.fewer, f"than by its last {one.dangerous}, after {one.safe} more dangerous ones"),
         large(points, f"points more episodes solved than by direct's last {one.dangerous}"),
     ]
 
 
-def _times(found: stats.Comparison, label: str) -> Number:
+def _times(found: stats.Comparison, than: str) -> Number:
     value, _, rest = times_fewer(found).partition(" ")
-    return Number("∞", "the arm lost none", label) if value == "none" else Number(value, rest, label)
+    if value == "none":
+        return Number("0", "", f"robots lost, fewer {than}")
+    return Number(value, rest, f"times fewer robots lost {than}")
 
 
 def _lost(store: Store, found: Sequence[Contrast]) -> Iterator[tuple[int, list[Row]]]:

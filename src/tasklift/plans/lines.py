@@ -15,6 +15,7 @@ RESOLUTIONS_M = (0.05, 0.1)
 MOST_CELLS = 17_000_000
 WALL_M = 0.1
 MARGIN_M = 1.0
+DEEP_M = 0.35  # an opening reaches so far to both sides
 
 Points = NDArray[np.float64]
 
@@ -26,7 +27,7 @@ def plan_of_lines(
     floors: Sequence[Points] = (),
     *,
     doors: Points | None = None,
-    cut_doors: bool = False,
+    openings: Points | None = None,
     seeds: Points | None = None,
     doubts: Iterable[str] = (),
 ) -> Plan:
@@ -40,8 +41,9 @@ def plan_of_lines(
         Lines and polygons, ``(n, 2)`` points each (m).
     doors
         ``(K, 2, 2)``: both ends of every door (m), or ``None`` where the file does not tell.
-    cut_doors
-        Whether walls run through the doors, and have to be opened there.
+    openings
+        ``(K, 2, 2)``: both ends (m) of every place where walls are to be opened; they may run through doors, and be
+        drawn by both their faces.
     seeds
         ``(n, 2)``: points (m) in the building, or ``None``.
 
@@ -77,9 +79,12 @@ def plan_of_lines(
     pen = ImageDraw.Draw(drawn)
     for line in walls:
         pen.line(pixels(line), fill=1, width=thickness)
-    if cut_doors and doors is not None:
-        for door in doors:
-            pen.line(pixels(door), fill=0, width=2 * thickness + 1)
+    for start, end in () if openings is None else openings:
+        along = end - start
+        deep = np.array([-along[1], along[0]]) / max(np.hypot(*along), 1e-9) * DEEP_M
+        doorway = pixels(np.array([start - deep, end - deep, end + deep, start + deep]))
+        pen.polygon(doorway, fill=0)
+        ImageDraw.Draw(floor).polygon(doorway, fill=1)
     wall, inside = np.asarray(drawn, bool), np.asarray(floor, bool)
     return Plan(
         name,

@@ -92,10 +92,10 @@ def test_an_edge_is_as_long_as_its_line() -> None:
 
 
 def test_two_rooms_of_every_drawing_have_their_size_and_door() -> None:
-    for name in ("dxf", "osm", "rmf"):
-        building, _ = import_map(samples(name)[0])
-        assert np.allclose(building.area_m2[building.kind == ROOM], 25, rtol=0.06), name
-        assert int((building.feature_class == DOOR).sum()) == 1, name
+    for path in (*samples("dxf"), samples("osm")[0], samples("rmf")[0]):
+        building, _ = import_map(path)
+        assert np.allclose(building.area_m2[building.kind == ROOM], 25, rtol=0.06), path
+        assert int((building.feature_class == DOOR).sum()) == 1, path
 
 
 def test_units_of_a_drawing(tmp_path: Path) -> None:

@@ -198,7 +198,7 @@ def test_all_verdicts_for_the_right_reason():
     few = {"maps": 1, "seeds": 3}
     few = judged(arm(rng, losses=0.2, solved=0.95, **few), arm(rng, losses=1, solved=0.9, trials=400, **few))
     assert few.first.fewer.says == "too few seeds (3 of at least 6)"
-    assert "∞" not in " ".join(map(str, drill_report.rows([few, still])[0]))
+    assert "∞" not in " ".join(map(str, drill_report.losses([few, still])[0]))
 
 
 def test_fewer_losses_count_only_where_the_task_is_solved_as_often():

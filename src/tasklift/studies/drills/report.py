@@ -57,28 +57,34 @@ BEGIN, END = "<!-- results of `tasklift drills` -->", "<!-- end of results -->"
 Links = Mapping[tuple[str, int], Link | None]
 
 
-HEADERS = (
-    "arm", "hostiles", "trials: safe + dangerous", "robots lost",
-    "direct, first 100", "times fewer", "holds", "direct, last 100", "times fewer", "holds",
-    "direct, all of as many trials", "times fewer", "solved (%)", "less direct's in its last 100 (points)", "steps",
-    "would-be losses",
+LOSSES = ("arm", "hostiles", "robots lost", "direct's first", "times fewer", "", "direct's last", "times fewer", "")
+PRICE = (
+    "arm", "hostiles", "trials: safe + dangerous", "robots lost", "direct in as many", "times fewer", "solved (%)",
+    "less direct's last (points)", "steps", "would-be losses",
 )  # fmt: skip
 
 
-def rows(found: Sequence[Contrast]) -> list[list[Any]]:
-    """Return one row per contrast, as under :data:`HEADERS`."""
+def losses(found: Sequence[Contrast]) -> list[list[Any]]:
+    """Return a row per contrast, as under :data:`LOSSES`: robots lost on T, against direct's first and last trials."""
+    return [
+        [ARMS[c.arm].label, c.hostiles, f"{c.lost:.3g}",
+         f"{c.first.lost:.3g}", times_fewer(c.first.fewer), c.first.fewer.says,
+         f"{c.last.lost:.3g}", times_fewer(c.last.fewer), c.last.fewer.says]
+        for c in found
+    ]  # fmt: skip
+
+
+def prices(found: Sequence[Contrast]) -> list[list[Any]]:
+    """Return a row per contrast, as under :data:`PRICE`: what is spent in all, and how well T is solved for it."""
     table = []
     for c in found:
         solved = c.last.difference.interval
         points = (100 * solved.estimate, 100 * solved.low, 100 * solved.high)
         ends = " [{1:+.1f}, {2:+.1f}]" if np.isfinite(points).all() else ""
         table.append(
-            [ARMS[c.arm].label, c.hostiles, f"{c.safe} + {c.dangerous}", f"{c.lost:.3g}",
-             f"{c.first.lost:.3g}", times_fewer(c.first.fewer), c.first.fewer.says,
-             f"{c.last.lost:.3g}", times_fewer(c.last.fewer), c.last.fewer.says,
-             f"{c.everything.lost:.3g} in {c.safe + c.dangerous}", times_fewer(c.everything.fewer),
-             f"{100 * c.solved:.1f}", ("{0:+.1f}" + ends).format(*points), f"{c.steps:.0f}",
-             None if c.would_be is None else round(c.would_be)]
+            [ARMS[c.arm].label, c.hostiles, f"{c.safe} + {c.dangerous}", f"{c.lost:.3g}", f"{c.everything.lost:.3g}",
+             times_fewer(c.everything.fewer), f"{100 * c.solved:.1f}", ("{0:+.1f}" + ends).format(*points),
+             f"{c.steps:.0f}", None if c.would_be is None else round(c.would_be)]
         )  # fmt: skip
     return table
 
@@ -289,7 +295,7 @@ def drills(
         lines = [line.replace("**", "") for line in (in_a_sentence(main), *says)]
         drawn = figure(store, main, 3 if 3 in hostiles else hostiles[0])
         pictures.save(drawn, folder, "drills")
-        text = markdown(says, tables, plan)
+        text = markdown(lines[0], tables, plan)
         write_atomically(folder / "drills.md", text)
         written = _report(says, tables, plan, store, _replays(plan, main, folder, play))
         add_settings(written, store, command, since)
@@ -323,13 +329,15 @@ def _scale(plan: Study) -> str:
     )
 
 
-def markdown(says: Sequence[str], tables: Tables, plan: Study) -> str:
-    """Return the results as Markdown: the headline, the figure's place, every table."""
-    parts = [*says, _scale(plan), "![Robots lost by number of hostiles, and learning curves](pictures/drills.png)"]
+def markdown(says: str, tables: Tables, plan: Study) -> str:
+    """Return the results as Markdown: a sentence, the figure's place, every table in two."""
+    picture = "![Robots lost by number of hostiles, and learning curves](pictures/drills.png)"
+    parts = [f"**{says}**", picture, _scale(plan)]
     for title, found in tables.items():
         if found:
-            table = markdown_table(HEADERS, rows(found), missing="–").rstrip()
-            parts.append(f"### {title[0].upper()}{title[1:]}\n\n{table}")
+            parts.append(f"### {title[0].upper()}{title[1:]}")
+            for headers, rows in ((LOSSES, losses(found)), (PRICE, prices(found))):
+                parts.append(markdown_table(headers, rows, missing="–").rstrip())
     return "\n\n".join(parts) + "\n"
 
 
@@ -437,7 +445,8 @@ def _report(says: Sequence[str], tables: Tables, plan: Study, store: Store, link
     for title, found in tables.items():
         if found:
             with report.fold(f"{title[0].upper()}{title[1:]}"):
-                report.table(HEADERS, rows(found))
+                report.table(LOSSES, losses(found))
+                report.table(PRICE, prices(found))
     add_arms(report, dict.fromkeys(arm for part in plan.parts for arm in part.arms))
     return report
 

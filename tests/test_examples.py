@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-SHORT = ["train_team", "own_environment", "own_building", "table_and_plot"]
+SHORT = ["train_team", "own_environment", "own_building", "own_learner", "table_and_plot"]
 
 
 @pytest.mark.parametrize("name", SHORT)

@@ -532,6 +532,15 @@ class Trap:
 
 GOOD = Stage("gate", Corridor.task, Trap(), Reinforcement(), trials=5)
 BY_VALUE = Stage("gate", Gate.task, Gate(), ValueLearning(), trials=5)
+
+
+class Plain:
+    """A learner with the two methods that every learner has."""
+
+    start = GOOD.learner.start
+    learn = GOOD.learner.learn
+
+
 OTHER = Task("other", (Variable("place", (0, 1, 2)), Variable("shut", ("no", "yes"))), Corridor.task.outputs)
 
 
@@ -563,6 +572,7 @@ OTHER = Task("other", (Variable("place", (0, 1, 2)), Variable("shut", ("no", "ye
         ([GOOD, replace(GOOD, name="b", task=simple_task())], {}, "input 'shut' of 'corridor' is not in"),
         ([replace(BY_VALUE, name="a"), replace(GOOD, task=Gate.task, world=Gate())], {}, "one learns values"),
         ([replace(BY_VALUE, trust=5)], {}, "give the learner a step_power"),
+        ([replace(GOOD, learner=Plain(), trust=2)], {}, "trust: a Plain cannot weigh what was copied"),
         ([replace(GOOD, trust=-1)], {}, "trust: expected a number above 0"),
         ([replace(GOOD, trust=2, task=Corridor.task.simplify(signals=(), time_reward=0))], {}, "no signal to measure"),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -198,6 +199,7 @@ STAGE = '[[stages]]\nname = "a"\ntrials = 20\n'
 
 
 def beside(tmp_path: Path, text: str, module: str | None = None) -> Path:
+    shutil.copy(EXAMPLES / "ferry.py", tmp_path)
     (tmp_path / "own_learner.py").write_text(module or (EXAMPLES / "own_learner.py").read_text())
     spec = tmp_path / "own.toml"
     spec.write_text(text)

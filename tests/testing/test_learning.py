@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import runpy
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import own_learner
 import pytest
 from test_reinforcement import Corridor, simple_task
 from test_values import Gate, OneByOne, random_model
@@ -18,7 +17,6 @@ from tasklift.learning.compare import compare
 from tasklift.learning.curriculum import Curriculum
 from tasklift.testing import check_learner, check_world
 
-OWN = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "own_learner.py"))
 HUNT = Mission(generate(intersections=8, corridors=9, rooms=3, seed=3), team="4+3", limit=120)
 
 
@@ -40,7 +38,7 @@ def pole() -> Any:
 @pytest.mark.parametrize(
     "world",
     [HUNT, HUNT.without_hostiles(), HUNT.with_reading(drill=True), Corridor(), Gate(), random_model(3),
-     tl.StepTrials(Gate()), OneByOne(random_model(4)), OWN["Ferry"](0.5)],
+     tl.StepTrials(Gate()), OneByOne(random_model(4)), own_learner.Ferry(0.5)],
     ids=["mission", "mission without hostiles", "drill", "trials", "steps", "model", "steps as trials", "plain", "own"],
 )  # fmt: skip
 def test_worlds_keep_their_promises(world: Any) -> None:
@@ -66,7 +64,7 @@ LEARNERS = {
     "sweep": tl.Sweep(repeats=3),
     "fixed": tl.Fixed(tl.Reinforcement(selection="pseudo-random")),
     "in turn": tl.InTurn((tl.Reinforcement(), tl.Reinforcement(selection="exploitation")), (0, 5)),
-    "own": OWN["RandomSearch"](),
+    "own": own_learner.RandomSearch(),
 }
 
 
@@ -85,7 +83,7 @@ def test_learners_of_values_keep_their_promises(rule: Any) -> None:
 
 
 def test_a_learner_of_ones_own_is_an_equal_citizen() -> None:
-    curriculum = OWN["curriculum"]
+    curriculum = own_learner.curriculum
     run = curriculum.run(seed=0)
     assert [(e.stage, e.learner) for e in run.ledger.entries] == [
         ("calm", "transferred"), ("storms", "transferred"), ("storms", "control")
@@ -102,7 +100,7 @@ def test_a_learner_of_ones_own_is_an_equal_citizen() -> None:
     other = tl.Reinforcement(loss_signal=-0.5)
     mixed = [curriculum.stages[0], replace(curriculum.stages[1], learner=other, guard=None, trials=5)]
     assert Curriculum(mixed).run(0).ledger.entries[1].trials == 5
-    with pytest.raises(tl.TaskliftError, match="stage 'storms': random search cannot weigh"):
+    with pytest.raises(tl.TaskliftError, match="stage 'storms': trust: a RandomSearch cannot weigh"):
         Curriculum([replace(curriculum.stages[1], trust=3.0)]).check()
 
 

@@ -1,7 +1,7 @@
 """What a learner is, which trials it is asked for, and what it gives back.
 
 A stage of a curriculum is handed a learner (:class:`Learner`). The learners here and a class of a user's own are equal
-citizens: a curriculum knows the three methods below and nothing else of them.
+citizens: a curriculum knows the methods below and nothing else of them.
 """
 
 from __future__ import annotations
@@ -156,9 +156,10 @@ class Curve:
 class Learner(Protocol):
     """A way to learn. ``examples/own_learner.py`` has one in 30 lines; :func:`tasklift.testing.check_learner` tests it.
 
-    Two optional members say what a learner cannot do. ``check(world, task, run)`` raises :class:`TaskliftError` for
-    what it cannot learn; a curriculum asks it before anything is trained. ``divisible = False``: a run that is cut
-    into shorter ones may come out differently, so a curriculum runs each stage in one piece.
+    Three members are optional. ``check(world, task, run)`` raises :class:`TaskliftError` for what it cannot learn; a
+    curriculum asks it before anything is trained. ``divisible = False``: a run that is cut into shorter ones may come
+    out differently, so a curriculum runs each stage in one piece. ``count_as(policy, trust)`` returns the policy with
+    the experience copied into it counted as ``trust`` (above 0) says; a stage with ``trust`` asks for it.
     """
 
     def start(self, task: Task) -> Policy:
@@ -171,16 +172,6 @@ class Learner(Protocol):
         Trial ``i`` of the run is number ``run.first_trial + i`` of its stage. All its random numbers are keyed by
         that number, the seed and the stage (:class:`~tasklift.learning.chances.Chances`), so that the same run gives
         the same curve. What a learner must remember from run to run is in :attr:`.Policy.carried`.
-        """
-        ...
-
-    def count_as(self, policy: Policy, trust: float) -> Policy:
-        """Return the policy with the experience copied into it counted as ``trust`` (above 0) says.
-
-        Raises
-        ------
-        TaskliftError
-            If this learner cannot weigh experience.
         """
         ...
 
@@ -241,7 +232,7 @@ class InTurn:
 
     def count_as(self, policy: Policy, trust: float) -> Policy:
         """Return the policy as the first learner counts it."""
-        return self.learners[0].count_as(policy, trust)
+        return count_as(self.learners[0], policy, trust)
 
     def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
         """Learn from the trials of ``run``, each by the learner whose turn it is."""
@@ -270,6 +261,21 @@ def check(learner: Learner, world: Trials | Steps, task: Task, run: Run) -> None
     refuse = getattr(learner, "check", None)
     if refuse is not None:
         refuse(world, task, run)
+
+
+def count_as(learner: Learner, policy: Policy, trust: float) -> Policy:
+    """Return a policy with its copied experience counted as ``trust`` says.
+
+    Raises
+    ------
+    TaskliftError
+        If the learner cannot weigh experience.
+    """
+    weigh = getattr(learner, "count_as", None)
+    if weigh is None:
+        raise TaskliftError(f"trust: a {type(learner).__name__} cannot weigh what was copied (it has no count_as())")
+    counted: Policy = weigh(policy, trust)
+    return counted
 
 
 def settings_of(learner: Learner) -> dict[str, Any]:

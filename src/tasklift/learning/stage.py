@@ -12,7 +12,7 @@ from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json
 from tasklift.learning.guard import Guard, GuardReport, SequentialTest
-from tasklift.learning.learner import Learner, Run, check, divisible, settings_of
+from tasklift.learning.learner import Learner, Run, check, count_as, divisible, settings_of
 from tasklift.learning.ledger import Entry
 from tasklift.learning.worlds import Outcomes, Steps, Trials, joined
 from tasklift.tasks.policy import Policy, Prior
@@ -115,7 +115,7 @@ class Stage:
             if self.trust is not None:
                 if plain_number(self.trust, "trust") <= 0:
                     raise TaskliftError(f"trust: expected a number above 0, found {self.trust}")
-                self.learner.count_as(self.learner.start(self.task), self.trust)
+                count_as(self.learner, self.learner.start(self.task), self.trust)
         except TaskliftError as error:
             raise TaskliftError(f"{where}: {error}") from error
 
@@ -135,7 +135,7 @@ class Stage:
         if not self.keep_exploration:
             carried = {name: value for name, value in extended.carried.items() if name != "epsilon"}
             extended = replace(extended, carried=carried)
-        return extended if self.trust is None else self.learner.count_as(extended, self.trust)
+        return extended if self.trust is None else count_as(self.learner, extended, self.trust)
 
     def identity(self) -> tuple[Hashable, ...]:
         """Return what decides the stage's results, beside seed and random key, in an order of its own."""

@@ -240,7 +240,7 @@ def _learner(data: Mapping[str, Any], repeats: int | None, code: OwnCode, where:
     if "python" in data:
         rest = {name: value for name, value in data.items() if name != "python"}
         made = code.made(_text(data["python"], f"{where}, learner"), rest, f"{where}, learner")
-        for method in ("start", "learn", "count_as"):
+        for method in ("start", "learn"):
             if isinstance(made, type) or not callable(getattr(made, method, None)):
                 raise TaskliftError(f"{where}, learner: {data['python']} makes no learner: it has no {method}()")
         if repeats is not None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import Chances
-from tasklift.learning.learner import Curve, Learner, Run, check, divisible
+from tasklift.learning.learner import Curve, Learner, Run, check, count_as, divisible
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.learning.worlds import Outcomes, Step, Steps, Trials, joined
 from tasklift.tasks.policy import Policy
@@ -227,7 +227,7 @@ def _check_use(learner: Learner, policy: Policy, name: str) -> None:
         raise AssertionError(broken) from error
     policy.extend(policy.task)
     try:
-        counted = learner.count_as(policy, 3.0)
+        counted = count_as(learner, policy, 3.0)
     except TaskliftError:
         return  # a learner may refuse to weigh experience
     assert counted.task == policy.task, f"{name}, count_as: came back with a policy of another task"

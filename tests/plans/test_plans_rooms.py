@@ -111,10 +111,13 @@ def test_a_long_room_with_two_doors_to_one_corridor(turn: float, doors_at: tuple
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("table", [(3.0, 1.2), (1.2, 2.2), (2.2, 2.2)])
 def test_a_table_is_an_obstacle(turn: float, table: tuple[float, float]) -> None:
-    building, _ = extract(drawn(office(table=table, width=5.5, depth=5.0), turn))
+    plan = drawn(office(table=table, width=5.5, depth=5.0), turn)
+    building, _ = extract(plan)
     assert np.allclose(areas(building), [27.5] * 6, rtol=0.1)
     assert doors(building) == 6
     assert building.obstacles[building.kind == ROOM].tolist() == [1] * 6
+    nodes = np.floor(plan.to_pixels(building.position_m)).astype(int)
+    assert plan.free[tuple(nodes.T)].all()  # no room's node is on its table
 
 
 # the widest ones are found in upright drawings only
@@ -128,9 +131,9 @@ def test_rooms_end_at_wide_openings(turn: float, opening: float, corridor: float
     assert np.allclose(areas(building), [16] * 6, rtol=0.12)
 
 
-@pytest.mark.parametrize("turn", [0, 90, 180])
-@pytest.mark.parametrize("cell", [0.02, 0.03])
-def test_leaves_and_arcs_of_doors_are_opened(turn: float, cell: float) -> None:
+@pytest.mark.parametrize(("turn", "cell", "ink"), [(0, 0.02, 0), (180, 0.03, 120), (17, 0.02, 0), (38, 0.03, 120)])
+def test_leaves_and_arcs_of_doors_are_opened(turn: float, cell: float, ink: int) -> None:
+    """Thin lines, black or of the grey that smoothing makes of them."""
     from PIL import Image, ImageDraw
 
     plan = drawn(office(), turn, outside=254, cell_m=cell, margin=2.0)
@@ -144,9 +147,9 @@ def test_leaves_and_arcs_of_doors_are_opened(turn: float, cell: float) -> None:
             points = np.concatenate([arc, [hinge]])
             c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
             at = plan.to_pixels(points @ np.array([[c, s], [-s, c]]))
-            pen.line([(x, y) for y, x in at.tolist()], fill=0)
+            pen.line([(x, y) for y, x in at.tolist()], fill=ink)
     grey = np.asarray(image)
-    closed = Plan("cad", grey > 200, np.zeros(grey.shape, bool), grey, cell, plan.origin)
+    closed = Plan("cad", grey > 200, grey == 120, grey, cell, plan.origin)
     building, doubts = extract(closed)
     assert np.allclose(areas(building), [16] * 6, rtol=0.12)
     assert doors(building) == 6
@@ -163,20 +166,32 @@ def test_the_outdoors_is_cut_at_the_entrance(turn: float) -> None:
 
 
 @pytest.mark.parametrize("turn", [0, 30])
-def test_rays_through_windows_are_not_rooms(turn: float) -> None:
-    plan = drawn(office(), turn)
-    free, unknown = plan.free.copy(), plan.unknown.copy()
+@pytest.mark.parametrize("joined", [False, True])
+def test_rays_through_windows_are_not_rooms(turn: float, joined: bool) -> None:
+    """Fans of floor beyond the windows of two rooms, apart or grown into one."""
     from skimage.draw import polygon
 
-    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    fan = np.array([[1.2, 6.3], [2.8, 6.3], [2.8, 6.7], [3.3, 9.0], [2.0, 8.0], [1.2, 9.2], [1.2, 6.7]])
-    pixels = plan.to_pixels(fan @ np.array([[c, s], [-s, c]]))
+    plan = drawn(office(), turn)
     free, unknown, grey = (
-        np.pad(values, 60, constant_values=fill) for values, fill in ((free, False), (unknown, True), (plan.grey, 205))
+        np.pad(values, 60, constant_values=fill)
+        for values, fill in ((plan.free, False), (plan.unknown, True), (plan.grey, 205))
     )
     grown = Plan("x", free, unknown, grey, CELL_M, (plan.origin[0] - 3, plan.origin[1] - 3, 0.0))
-    rows, columns = polygon(*(pixels + 60).T, grown.free.shape)
-    grown.free[rows, columns], grown.unknown[rows, columns] = True, False
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    fan = np.array([[1.2, 6.3], [2.8, 6.3], [2.8, 6.7], [3.3, 9.0], [2.0, 8.0], [1.2, 9.2], [1.2, 6.7]])
+    bridge = [np.array([[2.5, 7.0], [5.7, 7.0], [5.7, 8.0], [2.5, 8.0]])]
+    for shape in (fan, np.add(fan, [4.2, 0]), *(bridge if joined else [])):
+        rows, columns = polygon(*grown.to_pixels(shape @ np.array([[c, s], [-s, c]])).T, free.shape)
+        free[rows, columns], unknown[rows, columns] = True, False
     building, doubts = extract(grown)
     assert np.allclose(areas(building), [16] * 6, rtol=0.12)
     assert any("rays through windows" in doubt for doubt in doubts)
+
+
+def test_floor_of_a_map_without_walls_is_no_ray() -> None:
+    """Only free and unknown: such maps are floor all the same."""
+    plan = drawn(office())
+    bare = Plan("bare", plan.free, ~plan.free, plan.grey, CELL_M, plan.origin)
+    building, doubts = extract(bare)
+    assert np.allclose(areas(building), [16] * 6, rtol=0.12)
+    assert not any("rays" in doubt for doubt in doubts)

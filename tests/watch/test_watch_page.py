@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import copy
+import dataclasses
 import os
 import re
 import shutil
@@ -18,12 +19,16 @@ import zlib
 
 import numpy as np
 import pytest
+import shapely
 from test_simulator import random_weights
 
 from oracle import Oracle
 from strategies import random_building
 from tasklift.building import COHESIVE, SCOUT, WEAPON, Mission, Reading, generate
+from tasklift.building.graph import ROOM
 from tasklift.learning.reinforcement import Reinforcement, reinforce
+from tasklift.plans.exporting import export
+from tasklift.plans.importing import import_map
 from tasklift.tasks.policy import Policy
 from tasklift.watch import page, replay
 
@@ -116,6 +121,53 @@ def three():
     policy = Policy.equal(mission.task, 1.5)
     traces = [mission.simulator.trace(policy, seed=0, trial=trial) for trial in range(3)]
     return replay([(f"trial {i + 1}", t) for i, t in enumerate(traces)], "Three trials")
+
+
+# --- the plan that the building was found in ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """A trace in a building that was found in a plan; its first corridor is bent."""
+    folder = tmp_path_factory.mktemp("plan")
+    export(generate(seed=7), folder / "seven.yaml")
+    building, _ = import_map(folder / "seven.yaml")
+    bend = building.position_m[building.edges[0]].mean(axis=0, keepdims=True) + [0.5, 0.2]
+    building = dataclasses.replace(building, course_m=(bend, *building.course_m[1:]))
+    mission = Mission(building, {SCOUT: 6, WEAPON: 4}, limit=60)
+    return mission.simulator.trace(Policy.equal(mission.task, 1.5), seed=0, trial=0)
+
+
+@pytest.mark.parametrize("size", [WIDE, PHONE])
+def test_a_building_lies_on_its_plan(show, planned, size):
+    """Rooms have the floor that they have in the plan, and robots go along corridors as they run."""
+    building, tab = planned.mission.building, ready(show(replay([("one", planned)], "plan"), step=60, size=size))
+    boxes = dict(tab.evaluate("[...tasklift.panels[0].scene.plan.boxes]"))
+    for room in np.flatnonzero(building.kind == ROOM).tolist():
+        left, right, low, high = boxes[room]
+        x, y = building.position_m[room]
+        assert left < x < right
+        assert low < y < high
+        assert (right - left) * (high - low) == pytest.approx(building.area_m2[room], rel=0.15)
+    line = tab.evaluate("tasklift.replay.building.lines[0]")
+    assert np.allclose(line, building.line_m(0), atol=0.006)
+    for share in (0.1, 0.8):
+        there = shapely.LineString(building.line_m(0)).interpolate(share, normalized=True)
+        at = tab.evaluate("([line, share]) => along(line, share)", [line, share])
+        assert at == pytest.approx([there.x, there.y], abs=0.01)
+
+
+def test_a_damaged_plan_is_named(show, planned):
+    document = replay([("one", planned)], "plan")
+    for href, part in (
+        ("data:image/png;base64,AAAA", "damaged picture"),
+        ("https://127.0.0.1/x.png", "expected a picture"),
+    ):
+        bad = copy.deepcopy(document)
+        bad["building"]["plan"]["href"] = href
+        tab = show(bad)
+        tab.wait_for_selector("#message", state="visible")
+        assert part in tab.locator("#message").inner_text()
 
 
 # --- what it shows is the trace --------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from tasklift.building.graph import CLASS_NAMES, KIND_NAMES, ROOM, Building
 from tasklift.checks import check_fields
 from tasklift.errors import TaskliftError
 from tasklift.files import check_document, parse_json, read_text
+from tasklift.plans.floor import picture
 from tasklift.text import shown
 
 if TYPE_CHECKING:
@@ -111,19 +112,12 @@ def checked(document: Any, where: str) -> dict[str, Any]:
 
 
 def _building(building: Building) -> dict[str, Any]:
-    """The graph, and the floor plan as polygons (m, to the centimetre)."""
-    import shapely
-
-    from tasklift.building.draw import corridor_floor, footprints
+    """The graph, and the plan that it was found in, or else a sketch of its floor as polygons (m)."""
+    from tasklift.building.draw import footprints
     from tasklift.building.simulator import edge_cost_mm
 
-    corridors, rooms = corridor_floor(building), footprints(building)
-    floor = shapely.union_all([corridors, *rooms.values()])
-    everywhere = shapely.union_all(list(rooms.values()))
-    walls = [floor.boundary]
-    # a room's wall stops where a corridor enters, and where another room covers it
-    doorways = corridors.buffer(1e-6)
-    walls += [room.exterior.intersection(everywhere.boundary).difference(doorways) for room in rooms.values()]
+    rooms = footprints(building)
+    plan = picture(building)
     return {
         "name": building.name,
         "start": building.start,
@@ -132,15 +126,32 @@ def _building(building: Building) -> dict[str, Any]:
         "kind": building.kind.tolist(),
         "class": building.feature_class.tolist(),
         "position_m": building.position_m.round(3).tolist(),
+        "area_m2": building.area_m2.round(2).tolist(),
         "edges": building.edges.tolist(),
+        "course_m": [course.round(2).tolist() for course in building.course_m],
         "length_m": building.length_m.round(3).tolist(),
         "cost_mm": edge_cost_mm(building.length_m, building.width_m).tolist(),
         "width_m": building.width_m.round(3).tolist(),
         "outline_m": building.outline_m.round(2).tolist(),
         "rooms": {str(room): _lines(shape.exterior)[0] for room, shape in rooms.items()},
-        "corridors": _lines(corridors.boundary),
-        "walls": [line for wall in walls for line in _lines(wall)],
-    }
+        "plan": None if plan is None else {"href": plan[0], "corners": plan[1]},
+    } | (_sketch(building, rooms) if plan is None else {"corridors": [], "walls": []})
+
+
+def _sketch(building: Building, rooms: dict[int, Any]) -> dict[str, Any]:
+    """Corridors and walls, as corridors of their width and these rooms make them."""
+    import shapely
+
+    from tasklift.building.draw import corridor_floor
+
+    corridors = corridor_floor(building)
+    floor = shapely.union_all([corridors, *rooms.values()])
+    everywhere = shapely.union_all(list(rooms.values()))
+    walls = [floor.boundary]
+    # a room's wall stops where a corridor enters, and where another room covers it
+    doorways = corridors.buffer(1e-6)
+    walls += [room.exterior.intersection(everywhere.boundary).difference(doorways) for room in rooms.values()]
+    return {"corridors": _lines(corridors.boundary), "walls": [line for wall in walls for line in _lines(wall)]}
 
 
 def _lines(shape: Any) -> list[list[list[float]]]:

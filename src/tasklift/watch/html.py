@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from tasklift.building.simulator import Trace
 
 _HERE = Path(__file__).parent / "page"
-#: One script, in this order: what a replay means, how it is drawn, what people do with it
-_SCRIPTS = ("model.js", "scene.js", "panels.js", "main.js")
+#: One script, in this order: what a replay means, the plan, how both are drawn, what people do with it
+_SCRIPTS = ("model.js", "floor.js", "scene.js", "panels.js", "main.js")
 
 
 def page(document: Mapping[str, Any]) -> str:

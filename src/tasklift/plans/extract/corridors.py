@@ -21,6 +21,7 @@ MERGE_M = 1.0
 MERGE_SHARE = 0.6
 SHORTEST_RING_M = 1.2
 TURN_M = 2.0  # how far from a bend its two corridors show how it turns
+BESIDE_M = 0.3  # a room's node keeps so far from its furniture
 SAME_M = 0.6  # junctions whose corridors' axes cross so near to each other are one
 
 
@@ -71,9 +72,8 @@ def draw_lines(division: Division) -> PathGraph:
             for s, first, last in zip(box, low, high, strict=True)
         )
         mask = region[box] == number
-        corner = box[0].start, box[1].start
-        points = [(point[0] - corner[0], point[1] - corner[1]) for _, point in mine]
-        part, ends = _draw_region(space, mask, space.half_width_m[box], points, bool(is_room[number]), number, corner)
+        points = [(point[0] - box[0].start, point[1] - box[1].start) for _, point in mine]
+        part, ends = _draw_region(space, box, mask, points, bool(is_room[number]), number)
         _tie(whole, part, ends, [node for node, _ in mine])
     _simplify(whole, space, is_room)
     return whole
@@ -100,16 +100,19 @@ def _bar(barred: NDArray[np.bool_], space: Space, opening: Opening) -> tuple[tup
 
 def _draw_region(
     space: Space,
+    box: tuple[slice, ...],
     mask: NDArray[np.bool_],
-    half: NDArray[np.float32],
     points: list[tuple[int, int]],
     is_room: bool,
     number: int,
-    corner: tuple[int, int],
 ) -> tuple[PathGraph, list[tuple[int, Points]]]:
-    """The lines within one region, and for each of its openings the node and the line that leads there."""
+    """The lines within one region, and for each of its openings the node and the line that leads there.
+
+    ``mask`` are the region's cells in ``box``, ``points`` its openings there.
+    """
+    half, corner = space.half_width_m[box], (box[0].start, box[1].start)
     if is_room:
-        centre = _centre(mask, half)
+        centre = _centre(mask, half, space.filled[box], space.cell_m)
         if _star_serves(np.array(points, float).reshape(-1, 2), np.array(centre, float), space.cell_m):
             graph = PathGraph()
             room = graph.add_node(
@@ -147,10 +150,16 @@ def _draw_region(
     return graph, ends
 
 
-def _centre(mask: NDArray[np.bool_], half: NDArray[np.float32]) -> tuple[int, int]:
-    """The free cell nearest to the middle of a region, a step away from its walls where that is near."""
+def _centre(
+    mask: NDArray[np.bool_], half: NDArray[np.float32], filled: NDArray[np.bool_], cell_m: float
+) -> tuple[int, int]:
+    """The free cell nearest to the middle of a region, a step away from its walls and furniture where that is near."""
+    from scipy import ndimage
+
     cells = np.argwhere(mask)
-    roomy = cells[half[mask] >= 0.5 * half[mask].max()]
+    roomy = mask & (half >= 0.5 * half[mask].max())
+    beside = roomy & ~ndimage.binary_dilation(filled, iterations=max(1, round(BESIDE_M / cell_m)))
+    roomy = np.argwhere(beside if beside.any() else roomy)
     middle = cells.mean(axis=0)
     row, column = roomy[np.argmin(((roomy - middle) ** 2).sum(axis=1))].tolist()
     return row, column

@@ -16,8 +16,10 @@ from tasklift.plans.plan import Plan
 # The outdoors lies along this part of the picture's edge, and the building is not smaller than this.
 EDGE_SHARE = 0.25
 LEAST_BUILDING_M2 = 15.0
-# Rays have walls along at most this part of their border; a wall is near within this distance.
+# Rays have walls along at most this part of their border if they are a dead end, or else; a wall is near within this
+# distance.
 WALLED_SHARE = 0.25
+THROUGH_SHARE = 0.15
 NEAR_WALL_M = 0.3
 CLOSET_ELONGATION = 3.0  # what is longer is a piece of corridor
 
@@ -92,7 +94,7 @@ def _outdoors(division: Division) -> NDArray[np.bool_]:
 
 
 def _rays(division: Division, plan: Plan) -> NDArray[np.bool_]:
-    """Dead ends whose border is not a wall but the unknown."""
+    """Regions whose border is not a wall but the unknown; none where walls are not drawn at all."""
     from scipy import ndimage
 
     space, region, measure = division.space, division.region, division.measure
@@ -102,9 +104,9 @@ def _rays(division: Division, plan: Plan) -> NDArray[np.bool_]:
     n = len(measure.exits)
     length = np.bincount(region[border], minlength=n)
     walled = np.bincount(region[border & near], minlength=n)
-    out: NDArray[np.bool_] = (measure.exits == 1) & (walled < WALLED_SHARE * length)
+    out: NDArray[np.bool_] = walled < np.where(measure.exits == 1, WALLED_SHARE, THROUGH_SHARE) * length
     out[0] = False
-    return out
+    return out & (2 * measure.area_m2[out].sum() < measure.area_m2.sum())
 
 
 def _places(division: Division, plan: Plan, cells: Iterable[tuple[int, int]]) -> str:

@@ -85,6 +85,12 @@ class Building {
     this.length = finite(b.length_m, "building, length_m", e, 0);
     this.cost = finite(b.cost_mm, "building, cost_mm", e, 1, 1e15);
     this.width = finite(b.width_m, "building, width_m", e, 0);
+    const courses = b.course_m ?? b.edges.map(() => []);
+    need(Array.isArray(courses) && courses.length === e, `building, course_m: expected ${e} lines`);
+    lines(courses, "building, course_m");
+    this.lines = b.edges.map(([a, z], i) => [this.position[a], ...courses[i], this.position[z]]);
+    this.area = b.area_m2 ? finite(b.area_m2, "building, area_m2", n, 0) : [];
+    this.plan = null; // the picture that the building was found in, if there is one
     [this.start] = finite([b.start], "building, start", 1, 0, n - 1);
     this.outline = lines([b.outline_m], "building, outline_m")[0];
     this.corridors = lines(b.corridors, "building, corridors");
@@ -113,6 +119,15 @@ class Building {
     const [a, z] = this.edges[edge];
     return (place - this.n) & 1 ? [edge, z, a] : [edge, a, z];
   }
+}
+
+/** The point of a line that lies this share of its length from its beginning. */
+function along(line, share) {
+  const sizes = line.slice(1).map((p, i) => Math.hypot(p[0] - line[i][0], p[1] - line[i][1]));
+  let left = share * sizes.reduce((a, b) => a + b, 0), i = 0;
+  for (; i < sizes.length - 1 && left > sizes[i]; i++) left -= sizes[i];
+  const part = sizes[i] > 0 ? left / sizes[i] : 0;
+  return [0, 1].map((axis) => line[i][axis] + part * (line[i + 1][axis] - line[i][axis]));
 }
 
 /** A variable's value, as a reader would say it. */
@@ -205,11 +220,9 @@ class Trace {
         const place = this.place[r * F + t];
         let [x, y] = b.position[Math.min(place, b.n - 1)];
         if (place >= b.n) {
-          const [edge, from, to] = b.way(place);
+          const [edge, from] = b.way(place);
           const share = Math.min(1, this.progress[r * F + t] / b.cost[edge]);
-          [x, y] = b.position[from];
-          x += share * (b.position[to][0] - x);
-          y += share * (b.position[to][1] - y);
+          [x, y] = along(b.lines[edge], from === b.edges[edge][0] ? share : 1 - share);
         }
         this.x[t * R + r] = x;
         this.y[t * R + r] = y;
@@ -404,6 +417,7 @@ async function readReplay(text) {
   need(doc && doc.format === FORMAT, `This is no replay: expected the format ${FORMAT}.`);
   need(doc.version === VERSION, `This page reads replays of version ${VERSION}, found version ${String(doc.version)}; make it afresh with this release of tasklift.`);
   const building = new Building(doc.building);
+  if (doc.building.plan) building.plan = await Floor.load(doc.building.plan);
   need(Array.isArray(doc.kinds) && Array.isArray(doc.tasks) && Array.isArray(doc.traces) && doc.traces.length > 0, "The replay holds no trace.");
   const kinds = doc.kinds.map((k) => {
     need(k && Number.isInteger(k.number) && k.number >= 0 && k.number < 1e6, "kinds: expected numbers of robots");

@@ -41,9 +41,8 @@ function cluster(n) {
 /** Pan and zoom, shared by all panels: they show the same building. */
 class View {
   constructor(building) {
-    const points = [...building.outline, ...[...building.floor.values()].flat()];
-    const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
-    [this.left, this.right, this.low, this.high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    const sketch = () => [...building.outline, ...[...building.floor.values()].flat()];
+    [this.left, this.right, this.low, this.high] = boxOf(building.plan ? building.plan.corners : sketch());
     this.aspect = Math.max(0.2, Math.min(5, (this.right - this.left) / (this.high - this.low)));
     this.version = 0;
     this.fit();
@@ -95,18 +94,24 @@ class Plan {
     this.outline = pathOf([building.outline], true);
     this.corridors = pathOf(building.corridors, true);
     this.walls = pathOf(building.walls, false);
-    this.rooms = new Map([...building.floor].map(([node, ring]) => [node, pathOf([ring], true)]));
-    this.edges = building.edges.map(([a, b]) => pathOf([[building.position[a], building.position[b]]], false));
+    this.picture = building.plan;
+    this.edges = building.lines.map((line) => pathOf([line], false));
     // a door is a bar across the way from one neighbour to the next
     this.bars = building.position.map((here, node) => {
       if (building.class[node] < 2) return null;
-      const [p, q] = building.neighbours[node].length > 1 ? building.neighbours[node] : [building.neighbours[node][0], node];
-      const along = [building.position[p][0] - building.position[q][0], building.position[p][1] - building.position[q][1]];
-      const size = Math.hypot(...along) || 1;
-      const widths = building.neighbours[node].map((other) => building.width[building.edgeBetween.get(node * building.n + other)]);
-      const half = Math.max(0.4, Math.min(...widths) / 2);
-      return [-along[1] / size * half, along[0] / size * half];
+      const ways = building.neighbours[node].map((other) => building.edgeBetween.get(node * building.n + other));
+      const [p, q] = [...ways.map((e) => (building.edges[e][0] === node ? building.lines[e][1] : building.lines[e].at(-2))), here];
+      const size = Math.hypot(p[0] - q[0], p[1] - q[1]) || 1;
+      const half = Math.max(0.4, Math.min(...ways.map((e) => building.width[e])) / 2);
+      return [-(p[1] - q[1]) / size * half, (p[0] - q[0]) / size * half];
     });
+    if (this.picture) this.bars.forEach((bar, node) => { if (bar) this.picture.shut(building.position[node], bar); });
+    const areas = [...building.floor].map(([node, ring]) => {
+      const found = this.picture && this.picture.room(building.position[node], building.area[node]);
+      return [node, found || { path: pathOf([ring], true), box: boxOf(ring) }];
+    });
+    this.rooms = new Map(areas.map(([node, { path }]) => [node, path]));
+    this.boxes = new Map(areas.map(([node, { box }]) => [node, box]));
   }
 }
 
@@ -155,7 +160,10 @@ class Scene {
       pen.setTransform(1, 0, 0, 1, 0, 0);
       pen.clearRect(0, 0, canvas.width, canvas.height);
       this.world(pen);
-      if (!known) {
+      if (this.plan.picture) {
+        this.plan.picture.draw(pen, known ? palette.floor : palette["ghost-floor"], known ? palette.wall : palette["ghost-wall"]);
+        pen.globalCompositeOperation = "source-atop"; // the rest is of the same colours, and on the plan
+      } else if (!known) {
         pen.fillStyle = palette.ground;
         pen.fill(this.plan.outline);
       }
@@ -167,6 +175,7 @@ class Scene {
       pen.lineWidth = (known ? 1.7 : 1) * px;
       pen.lineJoin = "round";
       pen.stroke(this.plan.walls);
+      pen.globalCompositeOperation = "source-over";
     }
     const pen = this.ghost.getContext("2d");
     this.screen(pen);
@@ -305,8 +314,7 @@ class Scene {
       const i = building.roomIndex.get(node) * trace.F;
       const whole = trace.unsearched[i], left = trace.unsearched[i + t];
       if (left === whole) continue;
-      const ring = building.floor.get(node), ys = ring.map((p) => p[1]);
-      const low = Math.min(...ys), high = Math.max(...ys), share = 1 - left / whole;
+      const [west, east, low, high] = this.plan.boxes.get(node), share = 1 - left / whole;
       pen.save();
       this.world(pen);
       pen.clip(room);
@@ -314,8 +322,7 @@ class Scene {
       pen.globalAlpha = this.reached[node] ? 0.9 : 0.4;
       pen.fillRect(building.position[node][0] - 1e4, low, 2e4, share * (high - low));
       pen.restore();
-      const xs = ring.map((p) => p[0]);
-      const [x, y] = this.toScreen((Math.min(...xs) + Math.max(...xs)) / 2, (low + high) / 2);
+      const [x, y] = this.toScreen((west + east) / 2, (low + high) / 2);
       this.screen(pen);
       if (left === 0) this.check(x, y, Math.min(9, Math.max(4, 0.2 * this.k * (high - low))));
     }

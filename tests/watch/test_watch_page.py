@@ -132,7 +132,7 @@ def planned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
     export(generate(seed=7), folder / "seven.yaml")
     building, _ = import_map(folder / "seven.yaml")
-    bend = building.position_m[building.edges[0]].mean(axis=0, keepdims=True) + [0.5, 0.2]
+    bend = np.add(building.position_m[building.edges[0]].mean(axis=0, keepdims=True), [0.5, 0.2])
     building = dataclasses.replace(building, course_m=(bend, *building.course_m[1:]))
     mission = Mission(building, {SCOUT: 6, WEAPON: 4}, limit=60)
     return mission.simulator.trace(Policy.equal(mission.task, 1.5), seed=0, trial=0)

@@ -66,8 +66,9 @@ def test_what_is_put_back_is_copied_or_averaged(data: st.DataObject) -> None:
             point = task.input_values(s) | task.output_values(a)
             mask = np.ones(simple.shape, dtype=bool)
             for name, variable in names.items():
-                if point[name] in variable.values:
-                    mask &= simple.where({name: point[name]})
+                group = next((g for g in simple.merged.get(name, ()) if point[name] in g), (point[name],))
+                if group[0] in variable.values:
+                    mask &= simple.where({name: group[0]})
             assert wide.weights[s, a] == pytest.approx(policy.weights[mask].mean(), rel=1e-12)
 
 
@@ -75,8 +76,9 @@ def test_what_is_put_back_is_copied_or_averaged(data: st.DataObject) -> None:
 @given(st.data())
 def test_extending_step_by_step_is_extending_at_once(data: st.DataObject) -> None:
     task = data.draw(small_tasks())
-    middle = data.draw(simplified(task))
-    policy = random_policy(data.draw(simplified(middle)))
+    # the mean over values that a restriction kept counts a merged group once: in steps, it may count there as many
+    middle = data.draw(simplified(task, merging=False))
+    policy = random_policy(data.draw(simplified(middle, merging=False)))
     assert np.allclose(policy.extend(middle).extend(task).weights, policy.extend(task).weights, rtol=1e-12)
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasklift.errors import TaskliftError
+from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Signal, Task, Variable
 
 PROPERTY = settings(deadline=None, derandomize=True, max_examples=60)
@@ -57,14 +58,16 @@ def small_tasks() -> st.SearchStrategy[Task]:
 
 
 @st.composite
-def simplified(draw: st.DrawFn, task: Task) -> Task:
-    fix, remove, restrict = {}, [], {}
+def simplified(draw: st.DrawFn, task: Task, merging: bool = True) -> Task:
+    fix, remove, restrict, merge = {}, [], {}, {}
     open_outputs = len(task.outputs)
     for variable in task.variables:
         output = variable in task.outputs
         choices = ["keep", "restrict", *([] if output else ["fix", "remove"])]
         if output and open_outputs > 1:
             choices.append("fix")
+        if merging and not output:
+            choices.append("merge")
         fate = draw(st.sampled_from(choices))
         if fate == "fix":
             fix[variable.name] = draw(st.sampled_from(variable.values))
@@ -74,7 +77,12 @@ def simplified(draw: st.DrawFn, task: Task) -> Task:
         elif fate == "restrict":
             chosen = st.lists(st.sampled_from(variable.values), min_size=1, unique=True)
             restrict[variable.name] = draw(chosen)
-    return task.simplify(fix, remove, restrict, signals=())
+        elif fate == "merge":
+            groups: dict[int, list] = {}
+            for value in draw(st.permutations(variable.values)):
+                groups.setdefault(draw(st.integers(0, 2)), []).append(value)
+            merge[variable.name] = list(groups.values())
+    return task.simplify(fix, remove, restrict, merge, signals=())
 
 
 def test_the_papers_tables() -> None:
@@ -134,13 +142,16 @@ def test_index_maps_are_exact(data: st.DataObject) -> None:
     simple = data.draw(simplified(task))
     kept = [v.name for v in simple.inputs]
     for s in range(task.shape[0]):
-        values = task.input_values(s)
+        values = {
+            name: next((group[0] for group in simple.merged.get(name, ()) if value in group), value)
+            for name, value in task.input_values(s).items()
+        }
         allowed = {v.name: v.values for v in simple.inputs}
         inside = all(values[n] in allowed[n] for n in kept)
         inside &= all(values[n] == v for n, v in simple.fixed.items() if n in values)
         expected = simple.input_index({n: values[n] for n in kept}) if inside else -1
         assert simple.input_map[s] == expected
-        assert simple.row_of(values) == expected
+        assert simple.row_of(task.input_values(s)) == expected
     for a in range(simple.shape[1]):
         fixed = {v.name: simple.fixed[v.name] for v in task.outputs if v.name in simple.fixed}
         assert task.output_values(int(simple.output_map[a])) == simple.output_values(a) | fixed
@@ -166,6 +177,19 @@ def test_json_brings_back_the_same_task(data: st.DataObject) -> None:
     assert again == task
     assert hash(again) == hash(task)
     assert again != paper_task()
+
+
+def test_merged_values_share_a_row_and_what_was_learned_there() -> None:
+    walk = Task("walk", (Variable("place", range(6)),), (Variable("move", (0, 1)),), (Signal(1.0, {"place": [4, 5]}),))
+    coarse = walk.simplify(merge={"place": [[5, 4], [0, 2]]})
+    assert coarse.merged == {"place": ((4, 5), (0, 2))}
+    assert coarse.inputs[0].values == (0, 1, 3, 4)
+    assert coarse.signal_table()[:, 0].tolist() == [0, 0, 0, 1]
+    extended = Policy(coarse, [[0, 1], [2, 3], [4, 5], [6, 7]]).extend(walk)
+    assert extended.weights[:, 0].tolist() == [0, 2, 0, 4, 6, 6]
+    lower = coarse.simplify(restrict={"place": [0, 4]})
+    assert lower.input_map.tolist() == [0, -1, 0, -1, 1, 1]
+    assert Policy(lower, [[0, 1], [4, 5]]).extend(walk).weights[:, 0].tolist() == [0, 2, 0, 2, 4, 4]
 
 
 def test_a_huge_task_is_declared_and_not_enumerated() -> None:
@@ -217,6 +241,11 @@ T = paper_task()
         (lambda: T.simplify(remove=["MV"]), "'MV' is an output"),
         (lambda: T.simplify(restrict={"DL": []}), "no value of 'DL'"),
         (lambda: T.simplify(fix={"MV": 0, "WPN": 0, "CA": 0.0}), "no output left"),
+        (lambda: T.simplify(merge={"MV": [[0, 1]]}), "'MV' is an output"),
+        (lambda: T.simplify(merge={"DL": [[0, 1], [1, 2]]}), "groups of different values"),
+        (lambda: T.simplify(merge={"DL": [[0, 7]]}), "no value 7"),
+        (lambda: T.simplify(merge={"DL": [[0, 1]]}, remove=["DL"]), "named twice"),
+        (lambda: T.simplify(merge={"FTR": [[4, 5]]}), "depends on 'FTR', which is merged"),
         (lambda: T.simplify(remove=["FTR"]), "depends on 'FTR', which is removed"),
         (lambda: T.simplify(fix={"DL": 0}).simplify(fix={"DL": 0}), "no variable 'DL'"),
         (lambda: T.input_index({"DL": 0}), "expected an input as"),
@@ -229,6 +258,9 @@ T = paper_task()
         (lambda: Task.from_json(T.to_json() | {"more": 1}), "unknown field 'more'"),
         (lambda: Task.from_json({k: v for k, v in T.to_json().items() if k != "name"}), "'name' is missing"),
         (lambda: Task.from_json(T.to_json() | {"fixed": {"DL": 1}}), "there is no parent"),
+        (lambda: Task.from_json(T.to_json() | {"merged": {"DL": [[0, 1]]}}), "there is no parent"),
+        (lambda: Task.from_json(paper_simple().to_json() | {"merged": {"FTR": 4}}), "groups of values"),
+        (lambda: Task.from_json(paper_simple().to_json() | {"merged": {"FTR": [[4, 5]]}}), "only the first"),
         (lambda: Task.from_json(paper_simple().to_json() | {"removed": ["DL"]}), "exactly one of them"),
     ],
 )

@@ -473,7 +473,7 @@ class _Extended:
 
     def __init__(self, simple: Approximation, full: Task, prior: tuple[Prior, ...]) -> None:
         self.simple, self.full, self.prior = simple, full, prior
-        self.kept = simple.task.kept_positions(full)
+        self.places = simple.task.value_positions(full)
 
     def rows(self, positions: Positions) -> Floats:
         task, full = self.simple.task, self.full
@@ -486,19 +486,17 @@ class _Extended:
             asked = [column[:, k] for column, k in zip(columns, pick, strict=True)]
             where = np.stack(asked, axis=1) if asked else np.zeros((len(positions), 0), dtype=np.int64)
             total += self.simple.rows(where)
-        found = spread(total / np.prod(counts, initial=1.0), task.outputs, full.outputs, self.kept, axis=1)
+        found = spread(total / np.prod(counts, initial=1.0), task.outputs, full.outputs, self.places, axis=1)
         for operation in self.prior:
             found = operation.apply(full, found, positions)
         return found
 
     def _choices(self, positions: NDArray[np.int64], variable: Variable) -> Positions:
         """Return the positions, in the simple task, that stand for each value (n, how many)."""
-        inside = self.kept[variable.name] or ()
-        known = {there: here for here, there in enumerate(inside)}
-        if all(int(p) in known for p in np.unique(positions)):
-            return np.array([[known[int(p)]] for p in positions], dtype=np.int64).reshape(-1, 1)
-        everyone = list(range(len(inside)))
-        return np.array([[known[int(p)]] * len(inside) if int(p) in known else everyone for p in positions])
+        places = self.places[variable.name]
+        assert places is not None
+        local = places[positions][:, None]
+        return local if (local >= 0).all() else np.where(local >= 0, local, np.arange(len(variable)))
 
 
 def _sklearn(module: str) -> Any:

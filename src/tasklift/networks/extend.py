@@ -127,9 +127,13 @@ def extend_module(
 def _inputs(source: Task, target: Task, encoding: Encoding, new: str) -> Side:
     if encoding == "flat":
         target.need_room(target.shape[0] * source.shape[0], "the extended embedding")
-        mix = spread(np.eye(source.shape[0]), source.inputs, target.inputs, source.kept_positions(target), axis=0)
+        mix = spread(np.eye(source.shape[0]), source.inputs, target.inputs, source.value_positions(target), axis=0)
         rows = representatives(source, target, {})
         return Side(rows.tolist(), mix)
+    if merged := [name for task in source.lineage for name in task.merged]:
+        raise TaskliftError(
+            f"extend_module: values of {merged[0]!r} are merged; only a network that sees a flat input can be extended"
+        )
     kept, ours = source.kept_positions(target), {v.name: v for v in source.inputs}
     starts, columns = {}, 0
     for variable in source.inputs:
@@ -154,10 +158,10 @@ def _inputs(source: Task, target: Task, encoding: Encoding, new: str) -> Side:
 
 
 def _outputs(source: Task, target: Task, head: str) -> Side:
-    kept = source.kept_positions(target)
     if head == "flat":
-        mix = spread(np.eye(source.shape[1]), source.outputs, target.outputs, kept, axis=0)
+        mix = spread(np.eye(source.shape[1]), source.outputs, target.outputs, source.value_positions(target), axis=0)
         return Side(source.output_columns(target).tolist(), mix)
+    kept = source.kept_positions(target)
     ours = {v.name: v for v in source.outputs}
     columns = sum(len(v) for v in source.outputs)
     old: dict[int, int] = {}

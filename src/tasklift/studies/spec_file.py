@@ -61,7 +61,7 @@ from tasklift.tasks.task import LARGEST_TABLE, Signal, Task, Variable
 from tasklift.text import shown
 
 _NUMBER = (int, float)
-_TASK_CHANGES = ("fix", "remove", "restrict", "signals", "impossible", "time_reward")
+_TASK_CHANGES = ("fix", "remove", "restrict", "merge", "signals", "impossible", "time_reward")
 _PRIORS = {"swap": swap, "forget": forget, "invert": invert, "scale": scale, "set_weight": set_weight}
 
 
@@ -204,6 +204,7 @@ def _stage_fields() -> dict[str, Any]:
         "fix?": dict,
         "remove?": list,
         "restrict?": dict,
+        "merge?": dict,
         "signals?": list,
         "impossible?": list,
         "time_reward?": _NUMBER,

@@ -291,10 +291,10 @@ class Policy:
     def extend(self, task: Task, prior: Sequence[Prior] = ()) -> Policy:
         """Extend the policy to the task that its own task came from (section III of the paper).
 
-        The weights are copied to every value put back, of inputs and of outputs. A variable that had been
-        restricted to several of its values gives a returned value the mean over those. What the learner
-        carries is extended in the same way, but for ``visits``: an output that was left out was never tried, and has
-        none. Then the priors change the weights, in order.
+        The weights are copied to every value put back, of inputs and of outputs, and to all values of a merged group.
+        A variable that had been restricted to several of its values gives a returned value the mean over those. What
+        the learner carries is extended in the same way, but for ``visits``: an output that was left out was never
+        tried, and has none. Then the priors change the weights, in order.
 
         Parameters
         ----------
@@ -446,8 +446,8 @@ def _checked(task: Task, given: ArrayLike, what: str) -> Weights:
 
 def _put_back(table: Weights, task: Task, ancestor: Task) -> Weights:
     """Extend a table of ``task`` to an ancestor: copies, or means over the values that a restriction kept."""
-    taller = spread(table, task.inputs, ancestor.inputs, task.kept_positions(ancestor), axis=0)
-    return spread(taller, task.outputs, ancestor.outputs, task.kept_positions(ancestor), axis=1)
+    taller = spread(table, task.inputs, ancestor.inputs, task.value_positions(ancestor), axis=0)
+    return spread(taller, task.outputs, ancestor.outputs, task.value_positions(ancestor), axis=1)
 
 
 def _tried(task: Task, ancestor: Task) -> NDArray[np.bool_]:
@@ -461,20 +461,25 @@ def spread(
     table: Weights,
     ours: Sequence[Variable],
     theirs: Sequence[Variable],
-    kept: Mapping[str, tuple[int, ...] | None],
+    places: Mapping[str, NDArray[np.int64] | None],
     axis: int,
 ) -> Weights:
-    """Extend one axis of a table (n, A) or (S, n) from the variables it has to those of an ancestor."""
+    """Extend one axis of a table (n, A) or (S, n) from the variables it has to those of an ancestor.
+
+    ``places`` says where the values are (:meth:`.Task.value_positions`).
+    """
     before, after = table.shape[:axis], table.shape[axis + 1 :]
     cube = table.reshape([*before, *(len(v) for v in ours), *after])
     names = {v.name for v in ours}
     for k, variable in enumerate(theirs, start=axis):
-        inside = kept[variable.name]
         if variable.name not in names:
             cube = np.repeat(np.expand_dims(cube, k), len(variable), axis=k)
-        elif inside is not None and len(inside) < len(variable):
-            wider = np.repeat(cube.mean(axis=k, keepdims=True), len(variable), axis=k)
-            wider[(slice(None),) * k + (list(inside),)] = cube
+            continue
+        local = places[variable.name]
+        assert local is not None
+        if (local < 0).any() or cube.shape[k] < len(variable):
+            wider = np.take(cube, local, axis=k)
+            wider[(slice(None),) * k + (local < 0,)] = cube.mean(axis=k, keepdims=True)
             cube = wider
     return np.ascontiguousarray(cube.reshape(*before, -1, *after))
 

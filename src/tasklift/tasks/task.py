@@ -27,6 +27,9 @@ from tasklift.text import html_table, shown
 
 __all__ = ["LARGEST_TABLE", "Condition", "Signal", "Task", "Value", "Variable"]
 
+_Kept = Mapping[str, tuple[int, ...]]
+_Groups = Mapping[str, tuple[tuple[int, ...], ...]]
+
 LARGEST_TABLE = 2**28
 """The most entries that a table on request may have (2 GiB of float64)."""
 
@@ -51,9 +54,9 @@ class Task:
         What is added there (the paper's strongly negative signal, −0.5).
     time_reward : float
         Size of the global signal for the time taken (the paper's +0.2 for V, +0.1 for T).
-    parent, fixed, removed
+    parent, fixed, removed, merged
         For a simplified task, filled in by :meth:`simplify`: the task it came from, the variables that were
-        fixed, with their value, and the inputs that were removed.
+        fixed, with their value, the inputs that were removed, and the groups of values of inputs that were merged.
 
     Raises
     ------
@@ -86,6 +89,7 @@ class Task:
     parent: Task | None = None
     fixed: Mapping[str, Value] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
+    merged: Mapping[str, tuple[tuple[Value, ...], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         where = f"task {check_name(self.name, 'task')!r}"
@@ -110,12 +114,14 @@ class Task:
             object.__setattr__(self, number, plain_number(getattr(self, number), f"{where}, {number}"))
         object.__setattr__(self, "fixed", dict(self.fixed))
         object.__setattr__(self, "removed", tuple(self.removed))
+        groups = {name: tuple(tuple(group) for group in merged) for name, merged in self.merged.items()}
+        object.__setattr__(self, "merged", groups)
         self._check_parent(where)
 
     def _check_parent(self, where: str) -> None:
         if self.parent is None:
-            if self.fixed or self.removed:
-                raise TaskliftError(f"{where}: variables are fixed or removed, but there is no parent task")
+            if self.fixed or self.removed or self.merged:
+                raise TaskliftError(f"{where}: variables are fixed, removed or merged, but there is no parent task")
             return
         ours = {v.name: v for v in self.variables}
         for variable in self.parent.variables:
@@ -138,6 +144,13 @@ class Task:
             order = [v.name for v in getattr(self.parent, side) if v.name in ours]
             if order != [v.name for v in getattr(self, side)]:
                 raise TaskliftError(f"{where}: the {side} must keep the order they have in {self.parent.name!r}")
+        for name, groups in self.merged.items():
+            variable = self.parent.variable(name, where)
+            positions = [variable.position(value, where) for group in groups for value in group]
+            if name not in {v.name for v in self.inputs} or len(set(positions)) < len(positions) or () in groups:
+                raise TaskliftError(f"{where}: expected groups of different values of the input {name!r} in merged")
+            if set(ours[name].values) & {value for group in groups for value in group[1:]}:
+                raise TaskliftError(f"{where}: of values of {name!r} that are merged, only the first one is kept")
 
     def __repr__(self) -> str:
         sizes = f"{len(self.inputs)} inputs and {len(self.outputs)} outputs, {' × '.join(map(str, self.shape))}"
@@ -310,6 +323,7 @@ class Task:
         fix: Mapping[str, Any] | None = None,
         remove: Sequence[str] = (),
         restrict: Mapping[str, Sequence[Any]] | None = None,
+        merge: Mapping[str, Sequence[Sequence[Any]]] | None = None,
         name: str | None = None,
         signals: Sequence[Signal] | None = None,
         impossible: Sequence[Condition] | None = None,
@@ -326,32 +340,42 @@ class Task:
             Inputs that leave the table; all their values lead to the same row.
         restrict
             ``{variable: values}``: the variable keeps only these values.
+        merge
+            ``{input: groups of values}``: the values of a group lead to the same row, named by the first of them.
         name
             Default: this task's name with a prime.
         signals, impossible
             The simpler task's own. Default: this task's, with the conditions on dropped variables
-            resolved; one that depends on the value of a removed input cannot be kept, and is refused.
+            resolved; one that depends on a value that can no longer be told cannot be kept, and is refused.
         time_reward
             Default: this task's.
 
         Raises
         ------
         TaskliftError
-            For an unknown or doubled name, an output in ``remove``, and a signal that depends on a removed input.
+            For an unknown or doubled name, an output in ``remove`` or ``merge``, and a signal that depends on a removed
+            input or tells merged values apart.
+
+        Examples
+        --------
+        >>> walk = Task("walk", inputs=(Variable("place", range(6)),), outputs=(Variable("move", (0, 1)),))
+        >>> coarse = walk.simplify(merge={"place": [[0, 1, 2], [4, 5]]})
+        >>> coarse.inputs[0].values, coarse.input_map.tolist()
+        ((0, 3, 4), [0, 0, 0, 1, 2, 2])
         """
         where = f"task {self.name!r}, simplify"
-        fix, restrict = dict(fix or {}), dict(restrict or {})
+        fix, restrict, merge = dict(fix or {}), dict(restrict or {}), dict(merge or {})
         if isinstance(remove, str):
             raise TaskliftError(f"{where}: expected a list of names in remove, found the text {remove!r}")
-        for variable_name in (*fix, *remove, *restrict):
+        for variable_name in (*fix, *remove, *restrict, *merge):
             self.variable(variable_name, where)
             if (
-                sum(variable_name in part for part in (fix, remove, restrict)) > 1
+                sum(variable_name in part for part in (fix, remove, restrict, merge)) > 1
                 or list(remove).count(variable_name) > 1
             ):
-                raise TaskliftError(f"{where}: {variable_name!r} is named twice; fix, remove or restrict it")
+                raise TaskliftError(f"{where}: {variable_name!r} is named twice; fix, remove, restrict or merge it")
         for output in self.outputs:
-            if output.name in remove:
+            if output.name in remove or output.name in merge:
                 raise TaskliftError(f"{where}: {output.name!r} is an output; outputs are fixed or restricted")
         kept: dict[str, tuple[int, ...]] = {}
         for variable in self.variables:
@@ -359,43 +383,54 @@ class Task:
                 kept[variable.name] = (variable.position(fix[variable.name], where),)
             elif variable.name in restrict:
                 kept[variable.name] = variable.positions(restrict[variable.name], where)
+        groups = {n: tuple(self.variable(n).positions(group, where) for group in merge[n]) for n in merge}
+        for merged_name, together in groups.items():
+            others = {position for group in together for position in group[1:]}
+            kept[merged_name] = tuple(i for i in range(len(self.variable(merged_name))) if i not in others)
         gone = {*fix, *remove}
         return Task(
             name=name or f"{self.name}'",
             inputs=tuple(_fewer(v, kept.get(v.name)) for v in self.inputs if v.name not in gone),
             outputs=tuple(_fewer(v, kept.get(v.name)) for v in self.outputs if v.name not in gone),
-            signals=self._simpler_signals(kept, gone) if signals is None else tuple(signals),
+            signals=self._simpler_signals(kept, gone, groups) if signals is None else tuple(signals),
             impossible=(
-                tuple(c for c in (self._simpler(i, kept, gone, "impossible") for i in self.impossible) if c is not None)
-                if impossible is None
-                else tuple(impossible)
+                self._simpler_impossible(kept, gone, groups) if impossible is None else tuple(impossible)
             ),
             impossible_signal=self.impossible_signal,
             time_reward=self.time_reward if time_reward is None else time_reward,
             parent=self,
             fixed={n: self.variable(n).values[kept[n][0]] for n in fix},
             removed=tuple(remove),
+            merged={n: tuple(tuple(self.variable(n).values[i] for i in g) for g in groups[n]) for n in groups},
         )
 
-    def _simpler_signals(self, kept: dict[str, tuple[int, ...]], gone: set[str]) -> tuple[Signal, ...]:
-        simpler = ((s, self._simpler(s.when, kept, gone, f"signal {s.name!r}")) for s in self.signals)
+    def _simpler_signals(self, kept: _Kept, gone: set[str], groups: _Groups) -> tuple[Signal, ...]:
+        simpler = ((s, self._simpler(s.when, kept, gone, groups, f"signal {s.name!r}")) for s in self.signals)
         return tuple(replace(signal, when=when) for signal, when in simpler if when is not None)
 
+    def _simpler_impossible(self, kept: _Kept, gone: set[str], groups: _Groups) -> tuple[Condition, ...]:
+        simpler = (self._simpler(condition, kept, gone, groups, "impossible") for condition in self.impossible)
+        return tuple(condition for condition in simpler if condition is not None)
+
     def _simpler(
-        self, when: Condition, kept: dict[str, tuple[int, ...]], gone: set[str], what: str
+        self, when: Condition, kept: _Kept, gone: set[str], groups: _Groups, what: str
     ) -> dict[str, tuple[Value, ...]] | None:
         """Return a condition over what is left of the table, or None if it can no longer hold."""
         simpler: dict[str, tuple[Value, ...]] = {}
         for name, values in when.items():
             variable = self.variable(name)
-            if name in gone and name not in kept:
-                if len(values) < len(variable):
-                    raise TaskliftError(
-                        f"task {self.name!r}, simplify: {what} depends on {name!r}, which is removed; "
-                        f"give the simpler task's own {'signals' if what != 'impossible' else 'impossible'}="
-                    )
+            positions = variable.positions(values, what)
+            removed = name in gone and name not in kept
+            together = (range(len(variable)),) if removed else groups.get(name, ())
+            if any(0 < len(set(group) & set(positions)) < len(group) for group in together):
+                raise TaskliftError(
+                    f"task {self.name!r}, simplify: {what} depends on {name!r}, which is "
+                    f"{'removed' if removed else 'merged'}; "
+                    f"give the simpler task's own {'signals' if what != 'impossible' else 'impossible'}="
+                )
+            if removed:
                 continue
-            left = [i for i in variable.positions(values, what) if i in kept.get(name, range(len(variable)))]
+            left = [i for i in positions if i in kept.get(name, range(len(variable)))]
             if not left:
                 return None
             if name not in gone:
@@ -463,17 +498,36 @@ class Task:
             found[variable.name] = None if values is None else variable.positions(values, "kept positions")
         return found
 
+    def value_positions(self, ancestor: Task) -> dict[str, NDArray[np.int64] | None]:
+        """Return, for every variable of an ancestor, where each of its values is among this task's, int64 (values,).
+
+        It is −1 for a value that does not belong to this task, 0 for the value of a fixed variable, and the position of
+        the group for merged values. A removed input has None.
+        """
+        lineage = self.lineage
+        between = lineage[: lineage.index(self.ancestor(ancestor))]
+        ours = {v.name: v for v in self.variables}
+        fixed = {name: Variable(name, (value,)) for task in between for name, value in task.fixed.items()}
+        found: dict[str, NDArray[np.int64] | None] = {}
+        for variable in ancestor.variables:
+            there = ours.get(variable.name) or fixed.get(variable.name)
+            places = [] if there is None else [there.find(_named(v, variable.name, between)) for v in variable.values]
+            found[variable.name] = None if there is None else np.array([-1 if p is None else p for p in places])
+        return found
+
     def row_of(self, values: Mapping[str, Any]) -> int:
         """Return this task's row for an ancestor's input, given as ``{name: value}``; −1 if outside.
 
         Nothing is enumerated, so this serves tasks of any size.
         """
-        for task in self.lineage:
-            if any(name in values and values[name] != value for name, value in task.fixed.items()):
-                return -1
+        lineage = self.lineage
+        for k, task in enumerate(lineage):
+            for name, value in task.fixed.items():
+                if name in values and _named(values[name], name, lineage[k + 1 :]) != value:
+                    return -1
         row = 0
         for variable in self.inputs:
-            position = variable.find(values[variable.name])
+            position = variable.find(_named(values[variable.name], variable.name, lineage))
             if position is None:
                 return -1
             row = row * len(variable) + position
@@ -482,16 +536,13 @@ class Task:
     def input_rows(self, ancestor: Task) -> NDArray[np.int64]:
         """Return this task's row for each input of an ancestor, int64 (S_ancestor,); −1 where outside."""
         ancestor.need_room(ancestor.shape[0], "the map of inputs")
-        kept = self.kept_positions(ancestor)
-        ours = {v.name for v in self.inputs}
+        places = self.value_positions(ancestor)
+        sizes = {v.name: len(v) for v in self.inputs}
         rows = np.zeros(1, dtype=np.int64)
         for variable in ancestor.inputs:
-            inside = kept[variable.name]
-            local = np.zeros(len(variable), dtype=np.int64)
-            if inside is not None:
-                local[:] = -1
-                local[list(inside)] = np.arange(len(inside))
-            size = len(inside) if inside is not None and variable.name in ours else 1
+            found = places[variable.name]
+            local = np.zeros(len(variable), dtype=np.int64) if found is None else found
+            size = sizes.get(variable.name, 1)
             outside = np.logical_or.outer(rows < 0, local < 0)
             rows = np.where(outside, -1, np.add.outer(rows * size, local)).ravel()
         return rows
@@ -530,6 +581,7 @@ class Task:
             "parent": None if self.parent is None else self.parent.to_json(),
             "fixed": dict(self.fixed),
             "removed": list(self.removed),
+            **({"merged": {n: [list(g) for g in groups] for n, groups in self.merged.items()}} if self.merged else {}),
         }
 
     @classmethod
@@ -550,6 +602,7 @@ class Task:
                 "parent": (dict, None),
                 "fixed": dict,
                 "removed": list,
+                "merged?": dict,
             },
         )
         signals = [
@@ -557,6 +610,9 @@ class Task:
         ]
         if not all(isinstance(n, str) for n in data["removed"]):
             raise TaskliftError(f"{where}: expected names in 'removed', found {data['removed']!r}")
+        merged = data.get("merged", {})
+        if not all(isinstance(g, list) and all(isinstance(v, list) for v in g) for g in merged.values()):
+            raise TaskliftError(f"{where}: expected groups of values in 'merged', found {shown(merged)}")
         return cls(
             name=data["name"],
             inputs=tuple(Variable.from_json(v, f"{where}, inputs") for v in data["inputs"]),
@@ -568,6 +624,7 @@ class Task:
             parent=None if data["parent"] is None else cls.from_json(data["parent"], where),
             fixed=data["fixed"],
             removed=tuple(data["removed"]),
+            merged=merged,
         )
 
     @cached_property
@@ -579,6 +636,15 @@ class Task:
 
     def __hash__(self) -> int:
         return hash(self._content)
+
+
+def _named(value: Any, name: str, lineage: Sequence[Task]) -> Any:
+    """Return the value that stands for a value of an ancestor's input, after all merging from there down."""
+    for task in reversed(lineage):
+        for group in task.merged.get(name, ()):
+            if value in group:
+                value = group[0]
+    return value
 
 
 def _fewer(variable: Variable, kept: tuple[int, ...] | None) -> Variable:

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from tasklift import Model, Task, Variable
-from tasklift.studies.simplify import Answer, SimplifyStudy, search
+from tasklift.studies.simplify.answer import Answer, answer_of
+from tasklift.studies.simplify.search import SimplifyStudy
 
 KINDS = ("independent", "coupled", "decoy", "nothing")
 
@@ -61,13 +62,13 @@ def document(kind: str, number: int) -> dict[str, Any]:
         "environment": {"python": "planted:make", "options": {"kind": kind, "number": number}},
         "learner": {"rule": "q-learning", "step_size": 0.2, "epsilon": 0.1, "discount": 1.0},
         "stages": [{"name": "aisle", "trials": 120}],
-        "simplify": {"trials": 40, "switches": switches, "seeds": 30},
+        "simplify": {"trials": 40, "switches": switches, "stages": 2, "seeds": 30},
     }
 
 
 def answer(kind: str, number: int, folder: Path) -> Answer:
     """Search for the simplification of a task."""
-    return search(SimplifyStudy(document(kind, number), Path(__file__).parent), folder)
+    return answer_of(SimplifyStudy(document(kind, number), Path(__file__).parent), folder)
 
 
 def right(kind: str, found: Answer) -> bool:

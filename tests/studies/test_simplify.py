@@ -3,58 +3,98 @@
 from __future__ import annotations
 
 import json
-from itertools import combinations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import planted
 from tasklift import Task, TaskliftError, Variable
+from tasklift.lab import Interrupted
 from tasklift.studies.learn import run_spec
-from tasklift.studies.simplify import candidates, simplify, study_of
+from tasklift.studies.simplify import search
+from tasklift.studies.simplify.answer import simplify
+from tasklift.studies.simplify.search import FINALISTS, SimplifyStudy, study_of
+from tasklift.studies.simplify.space import Candidate, chains, steps
+from tasklift.studies.spec_file import arm_of, curriculum_of
 
 pytest.importorskip("gymnasium")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 SWITCHES = [{"name": "calm", "options": {"wind": 0}}, {"name": "drill", "options": {"x": 1}, "harmless": True}]
+PRIORS = [{"name": "the opposite", "operations": [{"operation": "invert"}]}]
+
+PROPERTY = settings(deadline=None, derandomize=True, max_examples=15)
 
 
 @st.composite
 def tasks(draw: st.DrawFn) -> Task:
-    inputs = tuple(Variable(f"i{k}", range(draw(st.integers(2, 4)))) for k in range(draw(st.integers(1, 4))))
-    outputs = tuple(Variable(f"o{k}", range(draw(st.integers(1, 3)))) for k in range(draw(st.integers(1, 3))))
+    inputs = tuple(Variable(f"i{k}", range(draw(st.integers(2, 5)))) for k in range(draw(st.integers(1, 3))))
+    outputs = tuple(Variable(f"o{k}", range(draw(st.integers(1, 5)))) for k in range(draw(st.integers(1, 3))))
     return Task("t", inputs, outputs)
 
 
-@given(tasks(), st.integers(0, 2), st.sampled_from([[], SWITCHES[:1], SWITCHES]))
-def test_candidates_are_all_different_and_come_cheapest_first(task: Task, depth: int, switches: list) -> None:
-    found = candidates(task, {"trials": 5, "depth": depth, "switches": switches})
-    assert len({candidate.slug for candidate in found}) == len(found)
-    assert len({json.dumps([dict(c.stage), list(map(dict, c.prior))], sort_keys=True) for c in found}) == len(found)
-    assert [candidate.states for candidate in found] == sorted(candidate.states for candidate in found)
-    assert all(set(candidate.stage) > {"name", "trials"} for candidate in found)
+def spelled(candidate: Candidate) -> str:
+    return json.dumps(candidate.stages({"trials": 5}), sort_keys=True)
 
 
+@PROPERTY
+@given(tasks(), st.integers(0, 2), st.sampled_from([[], SWITCHES[:1], SWITCHES]), st.sampled_from([[], PRIORS]))
+def test_candidates_are_all_different_and_come_cheapest_first(
+    task: Task, depth: int, switches: list, priors: list
+) -> None:
+    found = steps(task, {"depth": depth, "switches": switches, "priors": priors, "trust": [2.0]})
+    both = [*found, *chains(found[-3:], found)]
+    assert len({candidate.name for candidate in both}) == len(both)
+    assert [candidate.cost for candidate in found] == sorted(candidate.cost for candidate in found)
+    for candidate in found:
+        (stage,), entering = candidate.stages({"trials": 5})
+        assert set(stage) > {"name", "trials"}
+        assert entering.keys() <= {"prior", "trust"}
+    # the names of stages aside, no two ask for the same
+    said = [json.dumps([dict(s, name="") for s in c.stages({"trials": 5})[0]] + [c.stages({"trials": 5})[1]],
+                       sort_keys=True) for c in both]  # fmt: skip
+    assert len(set(said)) == len(said)
+
+
+@PROPERTY
 @given(tasks())
-def test_inputs_that_belong_together_are_never_left_out_together(task: Task) -> None:
+def test_a_chain_leads_from_the_simpler_task_to_the_less_simple_one(task: Task) -> None:
+    found = steps(task, {"depth": 2, "switches": SWITCHES})
+    for chain in chains(found[-4:], found):
+        stages, _ = chain.stages({"trials": 7})
+        assert sum(stage["trials"] for stage in stages) == 7
+        middle = task.simplify(**changes(stages[1]))
+        first = middle.simplify(**changes(stages[0]))
+        assert first.ancestor(task).shape == task.shape
+        assert first.shape[0] * first.shape[1] == chain.steps[0].entries
+
+
+def changes(stage: dict) -> dict:
+    return {name: stage[name] for name in ("fix", "remove", "restrict", "merge") if name in stage}
+
+
+@PROPERTY
+@given(tasks())
+def test_inputs_that_belong_together_are_never_changed_together(task: Task) -> None:
     names = [variable.name for variable in task.inputs]
-    never = list(combinations(names, 2))
-    found = candidates(task, {"trials": 5, "depth": 2}, never)
-    assert all(len(candidate.stage.get("remove", [])) <= 1 for candidate in found)
+    found = steps(task, {"depth": 2, "never": [names[:2]]})
+    changed = [{move.variable for move in candidate.steps[0].moves} for candidate in found]
+    assert not any(len(names) > 1 and set(names[:2]) <= both for both in changed)
 
 
 def test_the_free_lake_is_learned_without_holes_first(tmp_path: Path) -> None:
     spec = tmp_path / "lake.toml"
-    spec.write_text((EXAMPLES / "simplify-lake.toml").read_text().replace("trials = 1000", "trials = 300"))
+    text = (EXAMPLES / "simplify-lake.toml").read_text().replace("trials = 1000", "trials = 300")
+    spec.write_text(text.replace("[simplify]\n", "[simplify]\ndepth = 0\nseeds = 12\n"))
     study = study_of(spec)
     answer = simplify(spec, tmp_path / "out")
     assert answer.best is not None
     assert answer.best.words.startswith("no holes")
-    assert answer.comparison is not None
-    assert answer.comparison.verdict == "holds"
-    assert answer.episodes <= study.price()
+    assert answer.found.against_scratch().verdict == "holds"
+    assert answer.found.episodes <= study.price()
+    assert (tmp_path / "out" / "lattice.svg").read_text().count("<svg") == 1
     # the same call computes nothing anew, and the recommended spec runs as it is
     assert simplify(spec, tmp_path / "out").lines == answer.lines
     verdict = run_spec(tmp_path / "out" / "curriculum.json", seeds=6)
@@ -78,6 +118,9 @@ def test_on_the_punished_lake_nothing_helps(tmp_path: Path) -> None:
         (("[simplify]\ntrials = 300", "[simplify]\ntrials = 300\ncriterion = 'fame'"), "criterion"),
         (("[simplify]\ntrials = 300", "[simplify]\ntrials = 300\ndepth = 9"), "depth"),
         (('name = "no holes"\n', ""), "switches 1"),
+        (("[simplify]\ntrials = 300", "[simplify]\ntrials = 300\nmost = { episodes = 3 }"), "simplify, most"),
+        (("[simplify]\ntrials = 300", "[simplify]\ntrials = 300\nseeds = 3"), "simplify, seeds"),
+        (("[simplify]\ntrials = 300", "[simplify]\ntrials = 300\ncurricula = [{ name = 'a', stages = [{}] }]"), "'a'"),
         (("trials = 1000", "steps = 1000"), "one [[stages]] with trials"),
         (("[simplify]\ntrials = 300", "[other]\ntrials = 300"), "other"),
     ],
@@ -102,3 +145,68 @@ def test_a_file_that_is_no_spec_is_named_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", planted.KINDS)
 def test_planted_truths_are_found(kind: str, tmp_path: Path) -> None:
     assert planted.right(kind, planted.answer(kind, 1000, tmp_path))
+
+
+def search_of(kind: str, **settings: object) -> SimplifyStudy:
+    document = planted.document(kind, 1000)
+    document["simplify"] |= {"seeds": 12} | settings
+    return SimplifyStudy(document, Path(planted.__file__).parent)
+
+
+@pytest.mark.parametrize("criterion", search.CRITERIA)
+def test_every_criterion_finds_the_colour_that_means_nothing(criterion: str, tmp_path: Path) -> None:
+    study = search_of("independent", criterion=criterion, stages=1)
+    found = study.search(tmp_path / "experiment.sqlite")
+    assert found.race[0].candidate.words == "without colour"
+    assert found.regret is not None
+    assert 1 < len(found.judged) <= FINALISTS
+
+
+def test_a_limit_on_what_is_lost_before_the_target_is_kept(tmp_path: Path) -> None:
+    free = search_of("decoy", stages=1).search(tmp_path / "free.sqlite").race
+    least = min(one.measures.losses_before.mean() for one in free)
+    found = search_of("decoy", stages=1, most={"losses": least + 0.1}).search(tmp_path / "limited.sqlite")
+    assert found.race[0].measures.losses_before.mean() <= least + 0.1 < free[0].measures.losses_before.mean()
+
+
+def test_a_search_that_was_stopped_goes_on_to_the_same_answer(tmp_path: Path) -> None:
+    class Stop:
+        calls = 0
+
+        def __call__(self, done: int, total: int, note: str) -> None:
+            self.calls += 1
+            if self.calls == 40:
+                raise KeyboardInterrupt
+
+    study, stop = search_of("decoy", stages=1), Stop()
+    with pytest.raises((Interrupted, KeyboardInterrupt)):
+        study.search(tmp_path / "experiment.sqlite", stop)
+    stop.calls = 41
+    found = study.search(tmp_path / "experiment.sqlite", stop)
+    again = search_of("decoy", stages=1).search(tmp_path / "other.sqlite")
+    assert found.race[0].candidate.words == again.race[0].candidate.words
+    assert [one.measures.criterion.tolist() for one in found.judged] == [
+        one.measures.criterion.tolist() for one in again.judged
+    ]
+
+
+def test_a_mission_brings_its_own_switches_and_a_building_for_each_seed() -> None:
+    study = study_of(EXAMPLES / "simplify-mission.toml")
+    words = {candidate.words for candidate in study.found}
+    assert {"no hostiles", "harmless hostiles at every door; forget MV", "half the team", "without DL"} <= words
+    assert "one hostile" not in words
+    buildings = [study.curriculum(None, seed).stages[0].world.building.content_id for seed in (0, 0, 1)]
+    assert buildings[0] == buildings[1] != buildings[2]
+    safe = next(candidate for candidate in study.found if candidate.words == "no hostiles; forget MV")
+    before, target = study.curriculum(safe).stages
+    assert before.world.n_hostiles == 0
+    assert before.task.shape == (15, 44)
+    assert [operation.to_json()["operation"] for operation in target.prior] == ["forget"]
+
+
+def test_a_recommended_mission_is_an_arm_of_train(tmp_path: Path) -> None:
+    study = study_of(EXAMPLES / "simplify-mission.toml")
+    found = next(c for c in study.found if c.words == "harmless hostiles at every door, MV never stop")
+    (tmp_path / "curriculum.json").write_text(json.dumps(study.spec_of(found)))
+    assert curriculum_of(study.spec_of(found)).stages[0].task.shape == (90, 22)
+    assert arm_of(tmp_path / "curriculum.json").slug == "own-curriculum"

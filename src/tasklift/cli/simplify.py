@@ -22,21 +22,26 @@ def simplify_command(spec: Path, out: Path | None, allow_imports: bool, quiet: b
 
     SPEC is a spec of `learn` with one stage, the target task, and a table [simplify].
     """
-    from tasklift.lab.runs import Table
-    from tasklift.studies.simplify import simplify, study_of
+    from tasklift.studies.simplify.answer import simplify
+    from tasklift.studies.simplify.search import study_of
 
     study = study_of(spec, allow_imports=allow_imports)
     if not (quiet or as_json):
-        say(f"{len(study.found)} simpler tasks; the search spends at most {study.price():,} episodes", err=True)
+        more = f", and at most {study.most_chains} chains of two" if study.most_chains else ""
+        say(f"{len(study.found)} simpler tasks{more}; the search spends at most {study.price():,} episodes", err=True)
     with progress() as show:
         answer = simplify(spec, out, allow_imports=allow_imports, progress=show)
-    headers = ["learn first", "seeds", str(study.settings.get("criterion", "losses")), "late success"]
+    race, judged = answer.tables
     if as_json:
-        rows = [dict(zip(headers, row, strict=True)) for row in answer.rows]
-        best = None if answer.best is None else answer.best.slug
-        say_json({"best": best, "says": answer.lines, "race": rows, "curriculum": dict(answer.document)})
+        tables = {
+            name: [dict(zip(table.headers, row, strict=True)) for row in table.rows]
+            for name, table in (("race", race), ("judged", judged))
+        }
+        best = None if answer.best is None else answer.best.words
+        say_json({"best": best, "says": answer.lines, **tables, "curriculum": dict(answer.document)})
         return
-    print_tables(Table("The race: the better half goes on to more seeds", headers, answer.rows))
+    print_tables(race)
+    print_tables(judged)
     say("\n".join(answer.lines))
     if out is not None:
         say(f"recommended spec: {out / 'curriculum.json'}")

@@ -36,17 +36,18 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 from tasklift.building import Building, Mission, Reading, generate
+from tasklift.building.search import hostile_candidates
 from tasklift.checks import check_fields, one_of
 from tasklift.envs.gymnasium import Event, Factored, make_environment
 from tasklift.errors import TaskliftError
-from tasklift.files import parse_json, parse_toml, read_text
+from tasklift.files import canonical_json, parse_json, parse_toml, read_text
 from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.guard import Guard
 from tasklift.learning.learner import Learner
@@ -61,6 +62,8 @@ from tasklift.tasks.task import LARGEST_TABLE, Signal, Task, Variable
 from tasklift.text import shown
 
 _NUMBER = (int, float)
+#: In place of a number of hostiles: one at each place that may hide one.
+EVERY_DOOR = "every door"
 _TASK_CHANGES = ("fix", "remove", "restrict", "merge", "signals", "impossible", "time_reward")
 _PRIORS = {"swap": swap, "forget": forget, "invert": invert, "scale": scale, "set_weight": set_weight}
 
@@ -104,7 +107,11 @@ def about(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def curriculum_of(
-    document: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_imports: bool = False
+    document: Mapping[str, Any],
+    folder: str | os.PathLike[str] = ".",
+    *,
+    allow_imports: bool = False,
+    worlds: MutableMapping[str, Any] | None = None,
 ) -> Curriculum:
     """Return the curriculum that a spec describes; :func:`tasklift.studies.learn.run_spec` runs it.
 
@@ -116,6 +123,8 @@ def curriculum_of(
         Where files and modules that it names are looked for. A module there is code, and runs.
     allow_imports
         Whether it may name any other module, too.
+    worlds
+        Worlds made so far. Curricula with the same mapping, in one thread, share the worlds of equal environments.
 
     Raises
     ------
@@ -136,7 +145,10 @@ def curriculum_of(
         where = f"stage {data['name']!r}"
         try:
             changed = _merged(environment, data.get("options", {}), where)
-            world = _world(changed, root, Path(folder), code)
+            key = "" if worlds is None else canonical_json(changed)
+            world = worlds[key] if worlds and key in worlds else _world(changed, root, Path(folder), code)
+            if worlds is not None:
+                worlds[key] = world
             base = after if after is not None else world.task
             changes = {name: data[name] for name in _TASK_CHANGES if name in data}
             if "signals" in changes:
@@ -391,7 +403,7 @@ def _mission(environment: Mapping[str, Any], folder: Path) -> Mission:
         {
             "building": (str, dict, Building),
             "team?": (str, dict),
-            "hostiles?": (int, list),
+            "hostiles?": (int, list, str),
             "weapons_needed?": int,
             "limit?": int,
             "reading?": dict,
@@ -405,6 +417,9 @@ def _mission(environment: Mapping[str, Any], folder: Path) -> Mission:
     except TypeError as error:
         raise TaskliftError(f"environment, building: {error}") from error
     rest = {name: data[name] for name in ("hostiles", "weapons_needed", "limit") if name in data}
+    if isinstance(rest.get("hostiles"), str):
+        one_of(rest["hostiles"], (EVERY_DOOR,), "environment, hostiles")
+        rest["hostiles"] = hostile_candidates(building)
     reading = Reading.from_json(data.get("reading", {}), "environment, reading")
     try:
         return Mission(building, data.get("team", "10+5"), reading=reading, **rest)

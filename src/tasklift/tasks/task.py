@@ -346,7 +346,7 @@ class Task:
             Default: this task's name with a prime.
         signals, impossible
             The simpler task's own. Default: this task's, with the conditions on dropped variables
-            resolved; one that depends on a value that can no longer be told cannot be kept, and is refused.
+            resolved; one that depends on a removed input, or differs within a merged group, is refused.
         time_reward
             Default: this task's.
 

@@ -1,0 +1,1 @@
+"""Which simpler task to learn first: the space of candidates, the search, its answer."""

@@ -116,7 +116,8 @@ def output_file(path: PathLike, suffixes: Collection[str] = (), *, force: bool =
         raise TaskliftError(f"{target}: expected a name that ends in {' or '.join(suffixes)}")
     try:
         for source in reads:
-            if target.resolve() == Path(source).resolve() or (target.exists() and target.samefile(source)):
+            there = target.exists() and Path(source).exists()
+            if target.resolve() == Path(source).resolve() or (there and target.samefile(source)):
                 raise TaskliftError(f"{target}: is read by this command, and never written; choose another name")
         if target.is_dir():
             raise TaskliftError(f"{target}: is a folder; expected the name of a file")

@@ -53,6 +53,7 @@ _force = click.option("--force", is_flag=True, help="Replace files that are ther
 @click.option("--narrowest", type=float, help="Narrowest passage that a robot fits through, m.  [default: 0.5]")
 @click.option("--start", type=_Place(), help="Where robots begin: a point, or a node's number.")
 @click.option("--level", help="The level, of a building that has several.")
+@click.option("--levels", help="Several levels joined by lifts (open-rmf): 'all', or names with commas.")
 @click.option(
     "--resolution", "--scale", type=float, help="Metres per pixel, where the file does not say (per unit of a drawing)."
 )
@@ -69,6 +70,7 @@ def import_command(
     narrowest: float | None,
     start: tuple[float, float] | int | None,
     level: str | None,
+    levels: str | None,
     resolution: float | None,
     allow_outside: bool,
     force: bool,
@@ -77,6 +79,8 @@ def import_command(
     from tasklift.files import output_file
     from tasklift.plans.importing import import_map
 
+    if level is not None and levels is not None:
+        raise click.UsageError("--level imports one level, --levels joins several; give one of them")
     if isinstance(seed_point, int):
         raise click.BadParameter("expected X,Y in metres", param_hint="--seed-point")
     if out is None:
@@ -96,6 +100,7 @@ def import_command(
         narrowest_m=narrowest,
         start=start,
         level=level,
+        levels=None if levels is None else [] if levels == "all" else [name.strip() for name in levels.split(",")],
         resolution_m=resolution,
         allow_outside=allow_outside,
         progress=lambda text: say(f"  {text} …", err=True),

@@ -110,7 +110,8 @@ def _warnings(building: Building) -> list[str]:
             more = f" and {len(edges) - MOST_WARNINGS} more" if len(edges) > MOST_WARNINGS else ""
             found.append(f"{what}: {listed}{more}")
 
-    warn("features where corridors meet; make them intersections", np.flatnonzero(feature & (degree > 2)))
+    rides, lifts = _rides(building)
+    warn("features where corridors meet; make them intersections", np.flatnonzero(feature & (degree > 2) & ~lifts))
     warn("features at a dead end", np.flatnonzero(feature & (degree == 1)))
     unmarked = (building.kind == INTERSECTION) & (degree == 2)
     if building.provenance.get("source") != GENERATED:  # as in the paper's buildings, by their counts
@@ -126,7 +127,7 @@ def _warnings(building: Building) -> list[str]:
     warn_edges(f"shorter than {SHORTEST_EDGE_M:g} m", np.flatnonzero(building.length_m < SHORTEST_EDGE_M))
     warn_edges(
         "shorter than the straight line between the places at their ends",
-        np.flatnonzero(building.length_m < 0.98 * straight - 0.05 - _reach(building)),
+        np.flatnonzero((building.length_m < 0.98 * straight - 0.05 - _reach(building)) & ~rides),
     )
     warn_edges(
         f"more than {LONGEST_DETOUR:g} times as long as the straight line",
@@ -141,6 +142,18 @@ def _warnings(building: Building) -> list[str]:
         listed = "; ".join(" ".join(map(str, ring)) for ring in rings[:MOST_WARNINGS])
         found.append(f"loops of less than {SMALLEST_LOOP_M:g} m, around furniture? {listed}")
     return found
+
+
+def _rides(building: Building) -> tuple[np.ndarray, np.ndarray]:
+    """Which corridors are rides of a lift from level to level, and which nodes are lifts."""
+    lift = np.full(building.n_nodes, -1)
+    lifts = building.provenance.get("lifts")
+    for i, places in enumerate(lifts.values() if isinstance(lifts, dict) else ()):
+        for node, at in enumerate(building.position_m.round(3).tolist()):
+            if isinstance(places, list) and at in places:
+                lift[node] = i
+    a, b = building.edges.T
+    return (lift[a] >= 0) & (lift[a] == lift[b]), lift >= 0
 
 
 def _reach(building: Building) -> np.ndarray:

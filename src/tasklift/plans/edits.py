@@ -329,13 +329,14 @@ class _Sketch:
         provenance = dict(self.source.provenance)
         before = provenance.get("edits")
         provenance["edits"] = [*(before if isinstance(before, list) else []), *texts]
-        footprints = provenance.pop("footprints", None)
-        if isinstance(footprints, dict):
-            provenance["footprints"] = {
-                str(number[int(old)]): box
-                for old, box in footprints.items()
-                if str(old).isdigit() and int(old) in number and self.nodes[int(old)]["kind"] == ROOM
-            }
+        for key in ("footprints", "names"):
+            if isinstance(by_node := provenance.get(key), dict):
+                provenance[key] = {
+                    str(number[int(old)]): value
+                    for old, value in by_node.items()
+                    if str(old).isdigit() and int(old) in number
+                    and (key == "names" or self.nodes[int(old)]["kind"] == ROOM)
+                }
         return Building(
             name=self.source.name,
             kind=np.array([node["kind"] for node in nodes], np.int8),

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from tasklift.building.graph import Building
 from tasklift.checks import number, one_of
 from tasklift.files import PathLike, output_file
 from tasklift.plans.edits import apply_edits, read_edits
-from tasklift.plans.extract.building import extract
+from tasklift.plans.extract.building import choose_start, extract
 from tasklift.plans.extract.space import DOOR_RULES, Settings
 from tasklift.plans.floor import pack
+from tasklift.plans.levels import Level, join_levels
 from tasklift.plans.overlay import ENDINGS as PICTURES
 from tasklift.plans.overlay import draw_overlay
 from tasklift.plans.places import Places
 from tasklift.plans.plan import Plan
-from tasklift.plans.read import read_map
+from tasklift.plans.read import find_reader, read_map, rmf
 from tasklift.plans.source import Source
+from tasklift.text import shown
 
 
 def import_map(
@@ -32,6 +35,7 @@ def import_map(
     narrowest_m: float | None = None,
     start: tuple[float, float] | int | None = None,
     level: str | None = None,
+    levels: Sequence[str] | None = None,
     resolution_m: float | None = None,
     allow_outside: bool = False,
     progress: Callable[[str], None] | None = None,
@@ -63,6 +67,8 @@ def import_map(
         Where the robots begin: a node, or a point (m) of which the nearest room is taken.
     level
         The level of a building that has several.
+    levels
+        The levels of an open-rmf building to import as one, joined by its lifts; none: all.
     resolution_m
         Metres per pixel of a plain picture, per pixel of an open-rmf drawing without a measurement, per cell of a
         grid map, or per unit of a DXF drawing.
@@ -82,19 +88,21 @@ def import_map(
     """
     say = progress or (lambda _: None)
     settings = _settings(smallest_room_m2, door_rule, narrowest_m)
-    source = Source(path, level=level, resolution_m=resolution_m, allow_outside=allow_outside)
+    options: dict[str, Any] = {"resolution_m": resolution_m, "allow_outside": allow_outside}
+    source = Source(path, level=level, **options)
     _check_outputs(out, overlay, [path])
     say("reading the map")
-    found = read_map(source)
-    _check_outputs(out, overlay, [*source.files, *([edits] if edits is not None else [])])
-    plan: Plan | None = None
-    if isinstance(found, Plan):
-        plan = found
-        building, doubts = extract(plan, settings, seed_point=seed_point, start=start, progress=progress)
-    elif isinstance(found, Places):
-        building, doubts = found.building(start=start), found.doubts
+    sources = [source] if levels is None else [Source(path, level=name, **options) for name in _levels(source, levels)]
+    found = [read_map(one) for one in sources]
+    files = [file for one in sources for file in one.files]
+    _check_outputs(out, overlay, [*files, *([edits] if edits is not None else [])])
+    plan: Plan | None
+    if levels is not None:
+        if seed_point is not None:
+            raise source.fault("a seed point lies in one level; leave it out, or import levels one by one")
+        building, plan, doubts = _joined(sources, found, settings, start, say)
     else:
-        raise source.fault("is a building already; use 'map show' or 'map edit'")
+        building, plan, doubts = _building(source, found[0], settings, seed_point, start, say)
     origin = {"imported_from": source.path.name, "doubts": doubts} | ({} if plan is None else {"plan": pack(plan)})
     building = replace(building, provenance=building.provenance | origin)
     if edits is not None:
@@ -107,6 +115,56 @@ def import_map(
         say("drawing the overlay")
         draw_overlay(building, overlay, plan)
     return building, doubts
+
+
+_Found = Plan | Places | Building
+
+
+def _building(
+    source: Source,
+    found: _Found,
+    settings: Settings,
+    seed_point: tuple[float, float] | None,
+    start: tuple[float, float] | int | None,
+    say: Callable[[str], None],
+) -> tuple[Building, Plan | None, list[str]]:
+    """The building that a file holds, its plan if it has one, and doubts."""
+    if isinstance(found, Plan):
+        building, doubts = extract(found, settings, seed_point=seed_point, start=start, progress=say)
+        return building, found, doubts
+    if isinstance(found, Places):
+        return found.building(start=start), None, found.doubts
+    raise source.fault("is a building already; use 'map show' or 'map edit'")
+
+
+def _levels(source: Source, levels: Sequence[str]) -> Sequence[str]:
+    """The levels asked for, or all of the file."""
+    if find_reader(source) is not rmf:
+        raise source.fault("levels are joined by the lifts of an open-rmf building only; import one with --level")
+    return levels or rmf.levels_of(source)
+
+
+def _joined(
+    sources: Sequence[Source],
+    found: Sequence[_Found],
+    settings: Settings,
+    start: tuple[float, float] | int | None,
+    say: Callable[[str], None],
+) -> tuple[Building, Plan, list[str]]:
+    """The levels of a building joined by lifts, their plan, and doubts that name their level."""
+    parts, doubts = [], []
+    for source, plan in zip(sources, found, strict=True):
+        assert source.level is not None
+        if not isinstance(plan, Plan):
+            raise source.fault(f"level {shown(source.level)} has lanes and no walls; choose others: --levels L1,L2")
+        say(f"level {source.level}")
+        building, notes = extract(plan, settings, progress=say)
+        parts.append(Level(source.level, plan, building))
+        doubts += [f"level {source.level}: {note}" for note in notes]
+    joined, plan, notes = join_levels(sources[0].path.name.split(".")[0], parts)
+    if start is not None:
+        joined = replace(joined, start=choose_start(joined.name, joined.kind, joined.position_m, start))
+    return joined, plan, [*doubts, *notes]
 
 
 def _check_outputs(out: PathLike | None, overlay: PathLike | None, reads: Sequence[PathLike]) -> None:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 LARGEST_PIXELS = 50_000_000
 FINEST_M = 0.05  # finer pictures are made coarser, up to this size of a pixel
+
+
+class Lift(NamedTuple):
+    """A lift on one level: its name, the middle of its cabin, and a place before its door (m)."""
+
+    name: str
+    cabin_m: tuple[float, float]
+    landing_m: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +44,8 @@ class Plan:
         be found.
     seeds_m
         ``float64 (n, 2)``: points (m) that lie in the building, or ``None``.
+    lifts, elevation_m
+        The lifts on this level and its height (m), of a building with several levels.
     """
 
     name: str
@@ -46,6 +57,8 @@ class Plan:
     doubts: tuple[str, ...] = ()
     doors_m: NDArray[np.float64] | None = None
     seeds_m: NDArray[np.float64] | None = None
+    lifts: tuple[Lift, ...] = ()
+    elevation_m: float = 0.0
 
     def to_world(self, rows: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Metres ``(n, 2)``, x right and y up, of points given in pixels (row 0 is the picture's top edge)."""

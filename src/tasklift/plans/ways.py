@@ -17,6 +17,7 @@ from tasklift.plans.plan import Plan
 MOST_ROOMS = 24
 FINE_M, COARSE_M = 0.1, 0.25
 CELLS = 300_000
+ON_FLOOR_M = 1.5  # a room's node is so near to floor that a robot can reach
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,10 @@ def compare_ways(building: Building, plan: Plan) -> Ways:
     cell = space.cell_m * factor
     at = np.floor((space.to_cells(plan.to_pixels(building.position_m[rooms])) + 0.5) / factor).astype(int)
     on_floor = np.argwhere(robot)
-    starts = [tuple(on_floor[((on_floor - point) ** 2).sum(axis=1).argmin()].tolist()) for point in at]
+    nearest = [on_floor[((on_floor - point) ** 2).sum(axis=1).argmin()] for point in at]
+    reached = [i for i, point in enumerate(at) if np.hypot(*(nearest[i] - point)) * cell <= ON_FLOOR_M]
+    rooms, along = rooms[reached], along[reached]  # the others are on another level, or behind a shut door
+    starts = [tuple(nearest[i].tolist()) for i in reached]
     ratios = []
     for i, start in enumerate(starts):
         search = MCP_Geometric(np.where(robot, 1.0, -1.0))

@@ -7,6 +7,7 @@ its lanes.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from tasklift.plans.lines import plan_of_lines
 from tasklift.plans.places import Places
-from tasklift.plans.plan import Plan
+from tasklift.plans.plan import Lift, Plan
 from tasklift.plans.source import Source, coordinate, plain_name
 from tasklift.text import shown
 
@@ -65,7 +66,7 @@ def read(source: Source) -> Plan | Places:
         raise source.fault(f"{where}: places farther than 1,000 km away; is the measurement right?")
     if len(walls):
         name = f"{source.path.name.split('.')[0]} {plain_name(level)}"
-        return plan_of_lines(
+        plan = plan_of_lines(
             source,
             name,
             [points_m[wall] for wall in walls],
@@ -73,9 +74,17 @@ def read(source: Source) -> Plan | Places:
             doors=points_m[doors],
             seeds=points_m[np.unique(lanes)] if len(lanes) else None,
         )
+        height = coordinate(content.get("elevation")) or 0.0
+        return replace(plan, lifts=_lifts(vertices, points_m, lanes), elevation_m=height)
     if not len(lanes):
         raise source.fault(f"{where}: has no walls and no lanes; draw them in the traffic editor")
     return _lanes(source, level, vertices, points_m, lanes)
+
+
+def levels_of(source: Source) -> list[str]:
+    """The names of the levels that have something to read."""
+    levels = source.fields["levels"]
+    return [name for name, content in levels.items() if isinstance(content, dict) and content.get("vertices")]
 
 
 def level_of(source: Source) -> tuple[str, dict[str, Any]]:
@@ -121,6 +130,23 @@ def _lanes(
     places = lanes_as_places(source, level, names, points_m, lanes)
     places.doubts.append("the level has lanes and no walls: places and corridors are its graph's, rooms have no size")
     return places
+
+
+def _lifts(
+    vertices: list[Any], points_m: NDArray[np.float64], lanes: NDArray[np.int64]
+) -> tuple[Lift, ...]:
+    """The lifts whose cabins are vertices of a level; a lane leads from the cabin to the landing."""
+    found: dict[str, Lift] = {}
+    for i, vertex in enumerate(vertices):
+        options = vertex[4] if len(vertex) > 4 and isinstance(vertex[4], dict) else {}
+        cabin = options.get("lift_cabin")
+        name = plain_name(cabin[1]) if isinstance(cabin, list) and len(cabin) == 2 else ""
+        if name:
+            beside = lanes[(lanes == i).any(axis=1)].ravel()
+            landing = next((int(v) for v in beside if v != i), i)
+            x, y = points_m[[i, landing]].tolist()
+            found[name] = Lift(name, (x[0], x[1]), (y[0], y[1]))
+    return tuple(found.values())
 
 
 def _vertices(source: Source, where: str, vertices: list[Any]) -> NDArray[np.float64]:

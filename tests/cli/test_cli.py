@@ -268,7 +268,7 @@ def test_training_takes_any_arms_and_refuses_unknown_ones(tasklift, building):
     assert "400 trials, q = .9" in out
     assert "every-door drill 300, q = .9" in out
     command = (
-        f"tasklift train {building} --team 2+2 --hostiles 1 --weapons-needed 2 --limit 40 --preset scattered "
+        f"tasklift train {building} --team 2+2 --hostiles 1 --limit 40 --preset scattered "
         "--arms direct-400-q90,every-door-300-q90 --seeds 1 --trials 3 --practice 36000 --ready 0.95 --out run"
     )
     assert command in Path("run/report.html").read_text()

@@ -15,19 +15,23 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from enum import Enum, EnumMeta
+from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
+
+import numpy as np
 
 from tasklift.building.team import Kind
 from tasklift.building.variables import TABLE_I, Sensor, chosen_inputs
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
-from tasklift.text import one_line
+from tasklift.text import one_line, shown
 
 _HERE = Path(__file__).parent
 _COMPILED_IN = ("kernel.py", "sensors.py", "randomness.py", "../tasks/choice.py")
+_made: dict[str, ModuleType] = {}
 _SEEN = "    return lane.robots[r].row\n"
 
 
@@ -50,39 +54,64 @@ def numbers_of(sensors: tuple[Sensor, ...], kinds: list[Kind]) -> list[list[floa
     return [[dict(kind.attributes).get(name, value) for name, value in usual] for kind in kinds]
 
 
-@lru_cache(maxsize=32)
 def _written(sensors: tuple[Sensor, ...]) -> ModuleType:
     """Return the module of the kernel for some sensors, from the cache's file or newly written."""
     functions, terms, at = {}, [], 0
     for i, sensor in enumerate(sensors):
-        functions[f"read_{i}"] = _function(sensor)
+        functions[f"read_{i}"] = _compiled_alone(sensor)
         size, stride = len(sensor.variable), math.prod(len(later.variable) for later in sensors[i + 1 :])
         given = f"world.numbers[world.members[r].kind, {at}:{at + len(sensor.numbers)}]"
         at += len(sensor.numbers)
         terms.append(f"min(max(np.int64(read_{i}(world, rules, lane, r, {given})), 0), {size - 1}) * {stride}")
-    shown = " + ".join(terms) or "0"
-    text = (_HERE / "kernel.py").read_text("utf-8").replace(_SEEN, f"    return {shown}\n", 1)
-    content = hashlib.sha256(text.encode())
-    for name in _COMPILED_IN:
-        content.update((_HERE / name).read_bytes())
-    for name, function in functions.items():
-        content.update(f"{name} {_content(function, sensors[int(name[5:])].name)}".encode())
-    module = ModuleType(f"tasklift_kernel_{content.hexdigest()[:20]}")
-    path = _folder() / f"{module.__name__}.py"
+    text, compiled_in = _ours()
+    text = text.replace(_SEEN, f"    return {' + '.join(terms) or '0'}\n", 1)
+    content = hashlib.sha256("\n".join([text, compiled_in, *map(_key, sensors)]).encode())
+    name = f"tasklift_kernel_{content.hexdigest()[:20]}"
+    if name in _made:
+        return _made[name]
+    path = _folder() / f"{name}.py"
     if not path.exists():
         write_atomically(path, text)
     from tasklift.building.randomness import inline
 
+    module = ModuleType(name)
     module.__file__ = str(path)
     vars(module).update({name: f if hasattr(f, "py_func") else inline(f) for name, f in functions.items()})
-    sys.modules[module.__name__] = module  # Numba looks a cached function's globals up by the module's name
+    sys.modules[name] = module  # Numba looks a cached function's globals up by the module's name
     exec(compile(text, str(path), "exec"), vars(module))
     linecache.checkcache(str(path))
-    return module
+    return _made.setdefault(name, module)
 
 
-def _function(sensor: Sensor) -> Callable[..., Any]:
-    """Return the function that reads a sensor."""
+@cache
+def _ours() -> tuple[str, str]:
+    """Return the kernel's source, and a hash of everything of ours that is compiled in."""
+    content = hashlib.sha256()
+    for name in _COMPILED_IN:
+        content.update((_HERE / name).read_bytes())
+    return (_HERE / "kernel.py").read_text("utf-8"), content.hexdigest()
+
+
+def function_of(sensor: Sensor) -> FunctionType:
+    """Return the Python function that reads a sensor.
+
+    Raises
+    ------
+    TaskliftError
+        For a name that no function has, and for what cannot be compiled alone.
+    """
+    read = _compiled_alone(sensor)
+    found = getattr(read, "py_func", read)
+    if not isinstance(found, FunctionType) or found.__closure__:
+        raise TaskliftError(
+            f"sensor {sensor.name!r}: expected a function of a file, without values from around it, found {found!r}; "
+            "pass them as numbers"
+        )
+    return found
+
+
+def _compiled_alone(sensor: Sensor) -> Callable[..., Any]:
+    """Return the function that reads a sensor, as the kernel gets it."""
     if not isinstance(sensor.read, str):
         return sensor.read
     from tasklift.building import sensors
@@ -93,33 +122,52 @@ def _function(sensor: Sensor) -> Callable[..., Any]:
     return getattr(sensors, sensor.read)
 
 
-def _content(function: Any, where: str) -> str:
-    """Return a text that changes with whatever a function compiles to: its code, and what it uses by name."""
-    plain = getattr(function, "py_func", function)
-    if not isinstance(plain, FunctionType) or plain.__closure__:
-        raise TaskliftError(
-            f"sensor {where!r}: expected a function of a file, without values from around it, found {plain!r}; "
-            "pass them as numbers"
-        )
-    parts = [repr((plain.__code__.co_code.hex(), _constants(plain.__code__), plain.__defaults__))]
-    for name in plain.__code__.co_names:
-        value = plain.__globals__.get(name, getattr(builtins, name, None))
-        if isinstance(value, bool | int | float | str | tuple):
-            parts.append(f"{name}={value!r}")
-        elif isinstance(getattr(value, "py_func", value), FunctionType):
-            of_ours = getattr(value, "__module__", "") or ""
-            parts.append(f"{name}={of_ours}" if of_ours.startswith("tasklift.") else f"{name}={_content(value, where)}")
-    return "\n".join(parts)
+def _key(sensor: Sensor) -> str:
+    """Return a text that changes with whatever a sensor's function compiles to: its code, and what it uses by name."""
+    return _stated(function_of(sensor), f"sensor {sensor.name!r}")
 
 
-def _constants(code: CodeType) -> list[Any]:
-    return [_constants(c) if isinstance(c, CodeType) else c for c in code.co_consts]
+def _stated(value: Any, where: str) -> str:
+    """Return a text that differs for values that compile to something else, or that Numba keeps apart."""
+    value = getattr(value, "py_func", value)
+    if isinstance(value, FunctionType):
+        if value.__module__.startswith("tasklift."):
+            return f"{value.__module__}.{value.__name__}"  # the kernel's key has these files already
+        codes = list(_codes(value.__code__))
+        used = dict.fromkeys(name for code in codes for name in code.co_names)
+        found = {name: value.__globals__.get(name, getattr(builtins, name, None)) for name in used}
+        # of a module, only what the function may ask it for
+        holders = {name: one for name, one in found.items() if isinstance(one, ModuleType | EnumMeta)}
+        found |= {f"{name}.{of}": getattr(one, of) for name, one in holders.items() for of in used if hasattr(one, of)}
+        parts = [f"{code.co_code.hex()} {[c for c in code.co_consts if not isinstance(c, CodeType)]}" for code in codes]
+        # machine code that was kept looks for the module again
+        parts += [value.__module__, _stated(value.__defaults__, where)]
+        return "\n".join([*parts, *(f"{name}={_stated(one, f'{where}, {name}')}" for name, one in found.items())])
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, tuple):
+        return f"{type(value).__name__}({', '.join(_stated(one, where) for one in value)})"
+    if value is None or isinstance(value, bool | int | float | complex | str | np.generic | Enum):
+        return repr(value)
+    if isinstance(value, type | ModuleType | BuiltinFunctionType | np.ufunc) or callable(value):
+        return getattr(value, "__name__", repr(type(value)))
+    raise TaskliftError(f"{where}: expected a number, an array or a function, found {shown(value)}")
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """Yield a function's code and that of the functions and comprehensions in it."""
+    yield code
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _codes(inner)
 
 
 def _folder() -> Path:
     """Return the folder of written kernels: in Numba's cache if that is named, else in the user's."""
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    for folder in (Path(home).expanduser() / "tasklift", Path(tempfile.gettempdir()) / f"tasklift-{os.getuid()}"):
+    # a system without user ids has a temporary folder for each user
+    user = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
+    for folder in (Path(home).expanduser() / "tasklift", Path(tempfile.gettempdir()) / f"tasklift{user}"):
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError:

@@ -25,13 +25,13 @@ class Missions:
     Parameters
     ----------
     missions : sequence of Mission
-        At least one, with the same number of kinds of robots. Each runs a trial with the random numbers that it would
-        have by itself.
+        At least one, with the same kinds of robots, inputs and outputs. Each runs a trial with the random numbers that
+        it would have by itself.
 
     Raises
     ------
     TaskliftError
-        If there is none, or their teams differ in their kinds.
+        If there is none, or they differ in the kinds of their robots, in inputs or in outputs.
 
     Examples
     --------
@@ -52,10 +52,12 @@ class Missions:
             raise TaskliftError("missions: expected at least one, found none")
         if len({tuple(mission.team) for mission in self.missions}) > 1:
             raise TaskliftError("missions: expected teams of the same kinds of robots")
+        if len({(mission.inputs, mission.outputs) for mission in self.missions}) > 1:
+            raise TaskliftError("missions: expected the same inputs and outputs in all of them")
 
     @property
     def task(self) -> Task:
-        """The paper's task T (Table I)."""
+        """The task of each mission."""
         return self.missions[0].task
 
     def run(

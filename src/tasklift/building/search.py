@@ -58,14 +58,15 @@ def search_and_clear(
 
 
 def search_only(task: Task) -> Task:
-    """Return the paper's task V (Table II, 15 × 44 weights): ``task`` with no danger and no goal.
+    """Return the paper's task V (Table II, 15 × 44 weights): ``task`` with no danger and no goal, where it has them.
 
     Examples
     --------
     >>> search_only(search_and_clear()).shape
     (15, 44)
     """
-    return task.simplify(fix={"DL": 0, "GL": 0}, name="search", signals=SEARCH_SIGNALS, time_reward=SEARCH_TIME_REWARD)
+    safe = {variable.name: 0 for variable in task.inputs if variable.name in ("DL", "GL")}
+    return task.simplify(fix=safe, name="search", signals=SEARCH_SIGNALS, time_reward=SEARCH_TIME_REWARD)
 
 
 def hostile_candidates(building: Building) -> list[int]:

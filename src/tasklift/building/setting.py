@@ -12,14 +12,13 @@ import numpy as np
 from tasklift.building.graph import FEATURE, Building
 from tasklift.building.reading import Reading
 from tasklift.building.search import hostile_candidates, search_and_clear
-from tasklift.building.team import Kind, parse_team
+from tasklift.building.team import Kind
+from tasklift.building.terms import parse_terms
 from tasklift.building.variables import (
     LARGEST_ROWS,
     TABLE_I,
     TABLE_I_OUTPUTS,
     Sensor,
-    chosen_inputs,
-    chosen_outputs,
 )
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
@@ -73,11 +72,9 @@ class Setting:
             raise TaskliftError(f"mission: expected a Building, found {shown(self.building)}")
         if not isinstance(self.reading, Reading):
             raise TaskliftError(f"mission: expected a Reading, found {shown(self.reading)}")
-        object.__setattr__(self, "team", parse_team(self.team))
+        parse_terms(self)
         whole_number(self.weapons_needed, "weapons_needed", 1, LARGEST_LIMIT)
         whole_number(self.limit, "limit", 1, LARGEST_LIMIT)
-        object.__setattr__(self, "inputs", chosen_inputs(self.inputs))
-        object.__setattr__(self, "outputs", chosen_outputs(self.outputs))
         rows = math.prod(len(sensor.variable) for sensor in self.inputs)
         if rows > LARGEST_ROWS:
             raise TaskliftError(f"inputs: a table of {rows:,} rows is more than the {LARGEST_ROWS:,} that are built")

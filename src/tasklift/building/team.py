@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tasklift.building.variables import named_numbers
-from tasklift.checks import check_name, whole_number
+from tasklift.checks import check_fields, check_name, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.text import shown
 
@@ -60,17 +60,19 @@ class Kind:
 SCOUT = Kind("scout", 1500, armed=False)
 WEAPON = Kind("weapon", 1000, armed=True)
 
+_KNOWN = {kind.name: kind for kind in (SCOUT, WEAPON)}
+
 Team = dict[Kind, int]
 
 
-def parse_team(team: str | Mapping[Any, Any], where: str = "team") -> Team:
+def parse_team(team: str | Mapping[Any, Any] | list[Any], where: str = "team") -> Team:
     """Return how many robots there are of each kind.
 
     Parameters
     ----------
-    team : str or mapping
+    team : str, mapping or list
         ``"10+5"``: scouts + weapon robots. Or ``{kind: number}``, where a kind is a :class:`Kind`, ``"scout"`` or
-        ``"weapon"``. The order of a mapping is the order in which robots are numbered.
+        ``"weapon"``. Or what :func:`team_to_json` returns. Robots are numbered in the order of kinds.
     where : str
         What the error message begins with: the option or the field that holds the team.
 
@@ -90,12 +92,11 @@ def parse_team(team: str | Mapping[Any, Any], where: str = "team") -> Team:
         if spelled is None:
             raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, found {shown(team)}")
         team = {SCOUT: int(spelled[1]), WEAPON: int(spelled[2])}
-    if not isinstance(team, Mapping):
+    if not isinstance(team, Mapping | list):
         raise TaskliftError(f"{where}: expected SCOUTS+WEAPONS such as 10+5, or {{kind: number}}, found {shown(team)}")
-    known = {kind.name: kind for kind in (SCOUT, WEAPON)}
     found: Team = {}
-    for given, number in team.items():
-        kind = known.get(given) if isinstance(given, str) else given
+    for given, number in team.items() if isinstance(team, Mapping) else [_entry(entry, where) for entry in team]:
+        kind = _KNOWN.get(given) if isinstance(given, str) else given
         if not isinstance(kind, Kind):
             raise TaskliftError(f"{where}: expected a Kind, 'scout' or 'weapon', found {shown(given)}")
         if kind in found:
@@ -103,3 +104,27 @@ def parse_team(team: str | Mapping[Any, Any], where: str = "team") -> Team:
         found[kind] = whole_number(number, f"{where}, {kind.name}", 0, LARGEST_TEAM)
     whole_number(sum(found.values()), f"{where}, number of robots", 1, LARGEST_TEAM)
     return found
+
+
+def team_to_json(team: Mapping[Kind, int]) -> list[dict[str, Any]]:
+    """Return a team as JSON data: one table per kind, which :func:`parse_team` reads.
+
+    Examples
+    --------
+    >>> team_to_json({WEAPON: 5})
+    [{'kind': 'weapon', 'robots': 5, 'speed_mm': 1000, 'armed': True}]
+    """
+    return [
+        {"kind": kind.name, "robots": number, "speed_mm": kind.speed_mm, "armed": kind.armed}
+        | ({"attributes": [list(pair) for pair in kind.attributes]} if kind.attributes else {})
+        for kind, number in team.items()
+    ]
+
+
+def _entry(entry: Any, where: str) -> tuple[Kind, Any]:
+    """Return the kind and the number that one table names; a scout and a weapon robot need no more than their name."""
+    shape = {"kind": str, "robots": int, "speed_mm?": int, "armed?": bool, "attributes?": (dict, list)}
+    data = check_fields(entry, where, shape)
+    usual = vars(_KNOWN[data["kind"]]) if data["kind"] in _KNOWN else {"speed_mm": None, "armed": None}
+    described = {"attributes": ()} | usual | data
+    return Kind(*(described[name] for name in ("kind", "speed_mm", "armed", "attributes"))), data["robots"]

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from tasklift.cli.options import Numbers, as_json, path, positive, progress, quiet
+from tasklift.cli.options import Numbers, as_json, limit, mission, path, progress, quiet, team, weapons_needed
 from tasklift.cli.terminal import say, say_json
 
 
@@ -15,10 +15,11 @@ from tasklift.cli.terminal import say, say_json
 @click.argument("policy", type=path, required=False)
 @click.option("--building", type=path, help="The building.  [default: building.json beside the policy]")
 @click.option("--buildings", help="In place of one building: generated ones, such as 21-25-6.")
-@click.option("--team", default="10+5", show_default=True, help="Scouts+weapon robots.")
+@mission
+@team
 @click.option("--hostiles", type=Numbers(), default="1", show_default=True, help="Their number, or numbers: 1-5.")
-@click.option("--weapons-needed", type=positive, default=2, show_default=True, help="Weapon robots per hostile (m).")
-@click.option("--limit", type=positive, default=600, show_default=True, help="Steps per episode (trial).")
+@weapons_needed
+@limit
 @click.option("--preset", default="scattered", show_default=True, help="The world's rules: scattered or cohesive.")
 @click.option("--episodes", type=int, help="Fresh episodes.  [default: 10000, with --buildings 1000]")
 @click.option("--confidence", type=float, default=0.99, show_default=True, help="Of all bounds together.")

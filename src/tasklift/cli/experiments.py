@@ -14,10 +14,14 @@ from tasklift.cli.options import (
     count,
     folder,
     given,
+    limit,
+    mission,
     path,
     positive,
     progress,
     running,
+    team,
+    weapons_needed,
 )
 from tasklift.cli.terminal import say, say_json
 
@@ -100,10 +104,11 @@ def drills(choose: bool, **options: Any) -> None:
 
 @click.command()
 @click.argument("building", type=path)
-@click.option("--team", default="10+5", show_default=True, help="Scouts+weapon robots.")
+@mission
+@team
 @click.option("--hostiles", type=count, default=1, show_default=True, help="Hidden at doors.")
-@click.option("--weapons-needed", type=positive, default=2, show_default=True, help="The paper's m.")
-@click.option("--limit", type=positive, default=600, show_default=True, help="Steps per episode (trial).")
+@weapons_needed
+@limit
 @click.option("--preset", default="scattered", show_default=True, help="The world's rules: scattered or cohesive.")
 @click.option(
     "--arms",

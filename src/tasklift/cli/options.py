@@ -59,6 +59,14 @@ class Numbers(click.ParamType):
         return tuple(found)
 
 
+#: For commands that make a mission: what it declares. None: as the mission file says, or else Mission's default.
+mission = click.option("--mission", type=path, help="A file (TOML) with team, kinds of robots, inputs and outputs.")
+team = click.option("--team", help="Scouts+weapon robots.  [default: of --mission, or 10+5]")
+weapons_needed = click.option("--weapons-needed", type=positive,
+                              help="Weapon robots per hostile (m).  [default: of --mission, or 2]")  # fmt: skip
+limit = click.option("--limit", type=positive, help="Steps per episode (trial).  [default: of --mission, or 600]")
+
+
 def folder(default: str | None = None, help: str = "Folder for the report; the same command resumes there.") -> Any:
     """Return the option of a command's folder."""
     return click.option("--out", type=path, default=default, show_default=default is not None, help=help)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tasklift.cli.options import as_json, path, positive
+from tasklift.cli.options import as_json, mission, path, positive
 from tasklift.cli.runs import print_tables
 from tasklift.cli.terminal import say, say_json
 
@@ -28,8 +28,11 @@ def policy_group() -> None:
 @click.option("--top", type=positive, default=3, show_default=True, help="Actions (outputs) to show per state (input).")
 @click.option("--all", "every", is_flag=True, help="Show states that did not occur, too.")
 @click.option("--building", type=path, help="Where to play.  [default: building.json beside FILE, or a generated one]")
+@mission
 @as_json
-def policy_show(file: Path, top: int, every: bool, building: Path | None, as_json: bool) -> None:
+def policy_show(
+    file: Path, top: int, every: bool, building: Path | None, mission: Path | None, as_json: bool
+) -> None:
     """Show the most likely actions (outputs) in each state (input), with their probabilities.
 
     Of a policy for the building search, only the states that occur in 20 episodes are shown.
@@ -38,7 +41,7 @@ def policy_show(file: Path, top: int, every: bool, building: Path | None, as_jso
     from tasklift.tasks.policy import Policy
 
     policy = Policy.load(file)
-    met = None if every else _met(policy, building, file)
+    met = None if every else _met(policy, building, mission, file)
     states = [found for row, found in enumerate(policy.describe(top)) if met is None or row in met]
     if as_json:
         likely = [[{"probability": share, "action": does} for share, does in actions] for _, actions in states]
@@ -59,18 +62,19 @@ def policy_show(file: Path, top: int, every: bool, building: Path | None, as_jso
             say(f"{variable.name}: {variable.meaning}")
 
 
-def _met(policy: Policy, building: Path | None, file: Path) -> set[int] | None:
-    """Return the states that occur when the policy plays; None if its task is not the building search."""
+def _met(policy: Policy, building: Path | None, declares: Path | None, file: Path) -> set[int] | None:
+    """Return the states that occur when the policy plays; None if its task is not the mission's."""
     from tasklift.building import Mission, generate
-    from tasklift.building.search import search_and_clear
     from tasklift.learning.chances import GREEDY_STAGE
     from tasklift.plans.read import load_building
+    from tasklift.studies.mission_file import declared
 
-    if policy.task != search_and_clear():
-        return None
     beside = building or (file.parent / "building.json" if (file.parent / "building.json").exists() else None)
     place = generate(seed=0) if beside is None else load_building(beside)
-    simulator = Mission(place, "10+5", 1).with_reading(relocate=True).simulator
+    mission = Mission(place, **declared(declares, file.parent)).with_reading(relocate=True)
+    if policy.task != mission.task:
+        return None
+    simulator = mission.simulator
     met: set[int] = set()
     for trial in range(_EPISODES):
         robots = simulator.trace(policy, trial=trial, stage=GREEDY_STAGE, learn=False).robots

@@ -6,17 +6,32 @@ from typing import Any
 
 import click
 
-from tasklift.cli.options import Numbers, as_json, command_line, count, folder, given, path, positive, progress, running
+from tasklift.cli.options import (
+    Numbers,
+    as_json,
+    command_line,
+    count,
+    folder,
+    given,
+    limit,
+    mission,
+    path,
+    positive,
+    progress,
+    running,
+    weapons_needed,
+)
 from tasklift.cli.terminal import say, say_json
 
 
 @click.command("team")
 @click.argument("building", type=path)
+@mission
 @click.option("--scouts", type=Numbers(), default="10", show_default=True, help="Numbers of scouts: 5,10 or 5-8.")
 @click.option("--weapons", type=Numbers(), default="2,3,5,8,12,18", show_default=True, help="Numbers of weapon robots.")
 @click.option("--hostiles", type=count, default=1, show_default=True, help="Hidden at doors.")
-@click.option("--weapons-needed", type=positive, default=2, show_default=True, help="Weapon robots per hostile (m).")
-@click.option("--limit", type=positive, default=600, show_default=True, help="Steps per episode (trial).")
+@weapons_needed
+@limit
 @click.option("--preset", default="scattered", show_default=True, help="The world's rules: scattered or cohesive.")
 @click.option("--practice", type=positive, default=12_000, show_default=True, help="Safe episodes per team.")
 @click.option("--ready", type=float, default=0.95, show_default=True, help="Share solved from which a team is ready.")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tasklift.cli.options import Names, Numbers, count, positive
+from tasklift.cli.options import Names, Numbers, count, limit, mission, team, weapons_needed
 from tasklift.cli.terminal import say
 
 if TYPE_CHECKING:
@@ -36,10 +36,11 @@ if TYPE_CHECKING:
 @click.option("--seed", type=count, default=0, show_default=True)
 @click.option("--map", "map_name", help="Of an experiment: one of its maps.  [default: the first]")
 @click.option("--preset", help="The world's rules: scattered or cohesive, or another of the experiment's.")
-@click.option("--team", default="10+5", show_default=True, help="On a building: scouts+weapon robots.")
+@mission
+@team
 @click.option("--hostiles", type=count, help="On a building: how many.  [default: 1]  Of drills: one of the numbers.")
-@click.option("--weapons-needed", type=positive, default=2, show_default=True, help="On a building.")
-@click.option("--limit", type=positive, default=600, show_default=True, help="On a building: steps per trial.")
+@weapons_needed
+@limit
 @click.option("--html", type=click.Path(path_type=Path), help="Write the replay as one HTML file instead.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the traces as one JSON file.")
 @click.option("--force", is_flag=True, help="With --html and --json: replace files that are there.")
@@ -137,10 +138,12 @@ def _of_building(
     map_name: str | None,
     preset: str | None,
     hostiles: int | None,
+    mission: Path | None,
     **options: Any,
 ) -> list[tuple[str, Trace]]:
     from tasklift.building.reading import PRESETS
     from tasklift.plans.read import load_building
+    from tasklift.studies.mission_file import declared
     from tasklift.studies.study import Condition, Study
     from tasklift.tasks.policy import Policy
     from tasklift.watch.sources import USUAL, policy_traces, study_traces
@@ -154,15 +157,16 @@ def _of_building(
         raise click.UsageError("--policy and --arms exclude each other")
     rules = Condition(PRESETS[preset], hostiles=1 if hostiles is None else hostiles)
     shown = arms or USUAL
-    study = Study.every({source.stem: load_building(source)}, {preset: rules}, shown, seeds=1, **options)
+    terms = declared(mission, source.parent, **options)
+    study = Study.every({source.stem: load_building(source)}, {preset: rules}, shown, seeds=1, **terms)
     if not policies:
         return study_traces(
             study, condition=preset, map=source.stem, seed=seed, arms=shown, trials=trials, stage=stage
         )
-    mission = study.mission(preset, source.stem)
+    world = study.mission(preset, source.stem)
     loaded = [(file.stem, Policy.load(file)) for file in policies]
     traces = []
     for trial in trials or (1,):
-        for label, trace in policy_traces(mission, loaded, seed=seed, trial=trial, greedy=not draw):
+        for label, trace in policy_traces(world, loaded, seed=seed, trial=trial, greedy=not draw):
             traces.append((label if len(trials or (1,)) == 1 else f"{label}, trial {trial}", trace))
     return traces

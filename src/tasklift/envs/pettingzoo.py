@@ -30,8 +30,8 @@ class SearchEnv(ParallelEnv):
     """A mission whose robots are steered from outside.
 
     Agents are called after their kind and number (``"scout_0"``, … ``"weapon_10"``), in the simulator's order. An
-    observation has the positions of DL, GL, nWPN and FTR (``MultiDiscrete([3, 2, 3, 5])``), an action those of MV,
-    WPN and CA (``MultiDiscrete([2, 2, 11])``).
+    observation has the positions of the mission's inputs: by default DL, GL, nWPN and FTR (``MultiDiscrete([3, 2, 3,
+    5])``). An action has those of its outputs: by default MV, WPN and CA (``MultiDiscrete([2, 2, 11])``).
 
     Parameters
     ----------

@@ -221,7 +221,8 @@ def expert(mission: Mission, member: tuple[float, float] | None = None) -> Polic
     stop[task.input_mask({"FTR": 1, "nWPN": 2})] = pause
     if hides:
         stop[task.input_mask({"FTR": hides, "nWPN": (0, 1)})] = 1.0
-    ways = [task.where({"MV": move, "WPN": 0, "CA": ca}) for move in (0, 1)]
+    further = {variable.name: variable.values[0] for variable in task.outputs}
+    ways = [task.where({**further, "MV": move, "CA": ca}) for move in (0, 1)]
     return Policy(task, stop * ways[0] + (1.0 - stop) * ways[1], {"made_by": "expert", "CA": ca, "pause": pause})
 
 
@@ -314,7 +315,8 @@ def searching(on: Setup) -> Curriculum:
     drills = on.world(tuple(hostile_candidates(on.mission.building)), drill=True)
     generation = learner.population * learner.episodes
     late = on.practice // 3 // generation * generation
-    stages = [Stage("drill", task.simplify(remove=["DL", "GL"]), drills, learner, trials=on.practice - late,
+    told = [variable.name for variable in task.inputs if variable.name in ("DL", "GL")]
+    stages = [Stage("drill", task.simplify(remove=told), drills, learner, trials=on.practice - late,
                     rehearsal=True, key=DRILL_STAGE)]  # fmt: skip
     if late:
         stages.append(Stage("full-drill", task, drills, learner, trials=late, trust=6.0, rehearsal=True,

@@ -26,6 +26,8 @@ from tasklift.building.mission import Mission
 from tasklift.building.reading import PRESETS, Reading
 from tasklift.building.search import hostile_candidates
 from tasklift.building.team import Kind, parse_team
+from tasklift.building.terms import parse_terms, terms_from_json, terms_of, terms_to_json
+from tasklift.building.variables import TABLE_I, TABLE_I_OUTPUTS, Sensor
 from tasklift.checks import check_fields, number, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, output_file, read_bytes, read_document, write_atomically
@@ -33,6 +35,8 @@ from tasklift.lab import FILE_NAME, Store
 from tasklift.learning.chances import CERTIFY_STAGE
 from tasklift.learning.learner import MOST_TRIALS
 from tasklift.plans.read import load_building
+from tasklift.studies.mission_file import declared
+from tasklift.studies.own_code import OwnCode
 from tasklift.tasks.policy import Policy
 
 FORMAT = "tasklift-certificate"
@@ -79,7 +83,7 @@ class Ground:
         As in :class:`.Mission`.
     hostiles : sequence of int
         Their number is drawn from these for each episode, each equally likely. They are placed afresh each time.
-    reading, weapons_needed, limit
+    reading, weapons_needed, limit, inputs, outputs
         As in :class:`.Mission`.
 
     Raises
@@ -94,9 +98,11 @@ class Ground:
     reading: Reading = field(default_factory=Reading)
     weapons_needed: int = 2
     limit: int = 600
+    inputs: Sequence[str | Sensor] = TABLE_I
+    outputs: Sequence[str] = TABLE_I_OUTPUTS
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "team", parse_team(self.team))
+        parse_terms(self)
         object.__setattr__(self, "hostiles", tuple(whole_number(n, "hostiles") for n in self.hostiles))
         object.__setattr__(self, "reading", replace(self.reading, relocate=True))
         if not self.hostiles:
@@ -111,26 +117,23 @@ class Ground:
     def mission(self, hostiles: int, seed: int) -> Mission:
         """Return the world of an episode with this many hostiles; ``seed`` makes the building where it is not given."""
         place = self.place if isinstance(self.place, Building) else self.place.building(hostiles, seed)
-        return Mission(place, self.team, hostiles, self.reading, self.weapons_needed, self.limit)
+        return Mission(place, hostiles=hostiles, reading=self.reading, **terms_of(self))
 
     def to_json(self) -> dict[str, Any]:
         """Return everything but a given building, as JSON data."""
         usual = Reading()
         options = {f.name: getattr(self.reading, f.name) for f in fields(Reading)}
         return {
-            "team": [[kind.name, kind.speed_mm, kind.armed, n] for kind, n in parse_team(self.team).items()],
             "hostiles": list(self.hostiles),
             "reading": {name: value for name, value in options.items() if value != getattr(usual, name)},
-            "weapons_needed": self.weapons_needed,
-            "limit": self.limit,
+            "mission": terms_to_json(self),
         }
 
     @classmethod
-    def from_json(cls, document: dict[str, Any], place: Building | Sizes) -> Ground:
-        """Undo :meth:`to_json`."""
-        team = {Kind(name, speed, armed): n for name, speed, armed, n in document["team"]}
-        reading = Reading.from_json(document["reading"])
-        return cls(place, team, document["hostiles"], reading, document["weapons_needed"], document["limit"])
+    def from_json(cls, document: dict[str, Any], place: Building | Sizes, own: OwnCode) -> Ground:
+        """Undo :meth:`to_json`; ``own`` finds the functions of sensors of one's own."""
+        terms = terms_from_json(document["mission"], "mission", own.named)
+        return cls(place, hostiles=document["hostiles"], reading=Reading.from_json(document["reading"]), **terms)
 
     def play(self, policy: Policy, episodes: int, seed: int, progress: Progress | None = None) -> Counts:
         """Play fresh episodes and count.
@@ -343,10 +346,11 @@ def certify(
     *,
     building: Path | None = None,
     buildings: str | None = None,
-    team: str = "10+5",
+    mission: Path | None = None,
+    team: str | None = None,
     hostiles: Sequence[int] = (1,),
-    weapons_needed: int = 2,
-    limit: int = 600,
+    weapons_needed: int | None = None,
+    limit: int | None = None,
     preset: str = "scattered",
     episodes: int | None = None,
     confidence: float = 0.99,
@@ -365,7 +369,9 @@ def certify(
         The building. Default: ``building.json`` in the policy's folder.
     buildings : str, optional
         In its place, the sizes of generated buildings, such as ``21-25-6``: each episode has one of its own.
-    team, hostiles, weapons_needed, limit
+    mission, team, weapons_needed, limit
+        As in :func:`.declared`. Default: ``mission.json`` in the policy's folder, if there is one.
+    hostiles
         As in :class:`Ground`.
     preset : str
         ``scattered`` or ``cohesive``.
@@ -397,7 +403,8 @@ def certify(
     target = output_file(out, (".json",), force=force, reads=reads)
     reading = PRESETS[one_of(preset, list(PRESETS), "preset")]
     place = Sizes.parse(buildings) if buildings is not None else load_building(file or policy)
-    ground = Ground(place, team, hostiles, reading, weapons_needed, limit)
+    terms = declared(mission, policy.parent, team=team, weapons_needed=weapons_needed, limit=limit)
+    ground = Ground(place, hostiles=hostiles, reading=reading, **terms)
     if episodes is None:
         episodes = 10_000 if file is not None else 1_000
     counts = ground.play(Policy.load(policy), episodes, seed, progress)
@@ -446,7 +453,7 @@ def verify(certificate: Path, progress: Progress | None = None) -> str:
             place = load_building(_found(document["place"], certificate))
         else:
             place = Sizes(**document["place"])
-        ground = Ground.from_json(document["ground"], place)
+        ground = Ground.from_json(document["ground"], place, OwnCode(certificate.parent))
     except (KeyError, TypeError, ValueError) as error:
         raise TaskliftError(f"{where}: the place or the ground is not as a certificate has it ({error})") from error
     counts = ground.play(policy, document["episodes"], document["seed"], progress)

@@ -55,15 +55,27 @@ class OwnCode:
         TaskliftError
             If it does not exist, raises, exits, takes too long, or is not allowed.
         """
+        make = self.named(named, where)
+        if not callable(make):
+            raise TaskliftError(f"{where}: expected a class or a function in {named}, found {shown(make)}")
+        with self.loading(where):
+            return make(**options)
+
+    def named(self, named: str, where: str) -> Any:
+        """Return what ``module:name`` names.
+
+        Raises
+        ------
+        TaskliftError
+            If it does not exist, or is not allowed; and if the module raises, exits or takes too long.
+        """
         name, _, attribute = named.partition(":")
         if not attribute.isidentifier():
             raise TaskliftError(f"{where}: expected module:name, found {shown(named)}")
         module = self.module(name, where)
-        make = getattr(module, attribute, None)
-        if not callable(make):
-            raise TaskliftError(f"{where}: module {name!r} has no class or function {attribute!r}")
-        with self.loading(where):
-            return make(**options)
+        if not hasattr(module, attribute):
+            raise TaskliftError(f"{where}: module {name!r} has no {attribute!r}")
+        return getattr(module, attribute)
 
     def module(self, name: str, where: str) -> ModuleType:
         """Return a module beside the spec, run once; or any other, if that is allowed."""
@@ -86,8 +98,9 @@ class OwnCode:
         return found
 
     def _beside(self, name: str, file: Path, where: str) -> ModuleType:
-        # of a name of its own, so that it never takes the place of an installed module, or of another spec's
-        known = f"spec_{hashlib.sha256(str(file).encode()).hexdigest()[:8]}_{name}"
+        # of a name of its own, so that it never takes the place of an installed module, or of another spec's; the same
+        # one for the same content, since machine code that is kept is looked for by it
+        known = f"spec_{hashlib.sha256(file.read_bytes()).hexdigest()[:8]}_{name}"
         plan = spec_from_file_location(known, file)
         assert plan is not None
         assert plan.loader is not None

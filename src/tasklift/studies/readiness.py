@@ -11,10 +11,11 @@ from tasklift.building.least import least_steps
 from tasklift.building.mission import Mission
 from tasklift.building.search import hostile_candidates
 from tasklift.building.simulator import Trace
+from tasklift.building.team import SCOUT, WEAPON
 from tasklift.lab import Progress
 from tasklift.learning.chances import CHOICE_STAGE
 from tasklift.learning.reinforcement import Reinforcement
-from tasklift.studies.arms import expert
+from tasklift.studies.arms import UNSAFE, expert
 from tasklift.studies.certify import share_bounds
 from tasklift.tasks.policy import Policy
 
@@ -102,6 +103,8 @@ def advice(mission: Mission, ready: float, progress: Progress | None = None) -> 
     lines, needed = [], least_steps(mission)
     if needed > mission.limit:
         lines.append(f"no policy can: the building needs at least {needed} steps, the limit is {mission.limit}")
+    if not {variable.name for variable in mission.task.inputs}.issuperset(UNSAFE):
+        return lines  # the reference cannot wait for what it does not see
     tries = list(larger(mission))
     for k, larger_one in enumerate(tries, start=1):
         if progress is not None:
@@ -115,7 +118,7 @@ def advice(mission: Mission, ready: float, progress: Progress | None = None) -> 
                 progress(len(tries), len(tries), "trying larger teams")
             limit = f" --limit {larger_one.limit}" if larger_one.limit != mission.limit else ""
             lines.append(
-                f"what would do: --team {_team(larger_one)}{limit}; with it, waiting at doors for "
+                f"what would do: {_team(larger_one)}{limit}; with it, waiting at doors for "
                 f"{mission.weapons_needed} weapon robots solves {100 * solved:.1f} % of {CONFIRMED:,} fresh episodes"
             )
             return lines
@@ -142,5 +145,6 @@ def larger(mission: Mission) -> Iterator[Mission]:
 
 
 def _team(mission: Mission) -> str:
-    scouts = sum(n for kind, n in mission.team.items() if not kind.armed)
-    return f"{scouts}+{mission.n_robots - scouts}"
+    if set(mission.team) <= {SCOUT, WEAPON}:
+        return f"--team {mission.team.get(SCOUT, 0)}+{mission.team[WEAPON]}"
+    return "a team of " + ", ".join(f"{n} {kind.name}" for kind, n in mission.team.items())

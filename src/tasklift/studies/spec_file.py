@@ -44,6 +44,7 @@ from typing import Any
 
 from tasklift.building import Building, Mission, Reading, generate
 from tasklift.building.search import hostile_candidates
+from tasklift.building.terms import FIELDS, TERMS, terms_from_json, terms_of
 from tasklift.checks import check_fields, one_of
 from tasklift.envs.gymnasium import Event, Factored, make_environment
 from tasklift.errors import TaskliftError
@@ -194,9 +195,9 @@ def own_arm(slug: str, document: Mapping[str, Any], folder: Path, *, allow_impor
 
     def curriculum(on: Setup) -> Curriculum:
         mission = on.mission
-        environment = {name: getattr(mission, name) for name in ("building", "team", "weapons_needed", "limit")}
         hostiles = mission.hostiles if isinstance(mission.hostiles, int) else list(mission.hostiles)
-        environment |= {"hostiles": hostiles, "reading": asdict(mission.reading)}
+        environment = {"building": mission.building, "hostiles": hostiles, "reading": asdict(mission.reading)}
+        environment |= terms_of(mission)
         made = curriculum_of({**document, "environment": environment}, folder, allow_imports=allow_imports)
         return replace(made, stages=(*made.stages[:-1], replace(made.stages[-1], name="target")))
 
@@ -338,7 +339,7 @@ def _world(environment: Mapping[str, Any], task: Task | None, folder: Path, code
     if "gymnasium" in environment and task is not None:
         return _gymnasium(environment, task, code)
     if "building" in environment:
-        return _mission(environment, folder)
+        return _mission(environment, folder, code)
     data = check_fields(environment, "environment", {"python": str, "options?": dict})
     world = code.made(data["python"], data.get("options", {}), "environment")
     with code.loading("environment"):
@@ -396,17 +397,15 @@ def _judge(condition: Mapping[str, Any], task: Task, what: str) -> Any:
     return judge
 
 
-def _mission(environment: Mapping[str, Any], folder: Path) -> Mission:
+def _mission(environment: Mapping[str, Any], folder: Path, code: OwnCode) -> Mission:
     data = check_fields(
         environment,
         "environment",
         {
             "building": (str, dict, Building),
-            "team?": (str, dict),
             "hostiles?": (int, list, str),
-            "weapons_needed?": int,
-            "limit?": int,
             "reading?": dict,
+            **FIELDS,
         },
     )
     try:
@@ -416,13 +415,14 @@ def _mission(environment: Mapping[str, Any], folder: Path) -> Mission:
             building = generate(**building)
     except TypeError as error:
         raise TaskliftError(f"environment, building: {error}") from error
-    rest = {name: data[name] for name in ("hostiles", "weapons_needed", "limit") if name in data}
-    if isinstance(rest.get("hostiles"), str):
-        one_of(rest["hostiles"], (EVERY_DOOR,), "environment, hostiles")
-        rest["hostiles"] = hostile_candidates(building)
+    hostiles = data.get("hostiles", 1)
+    if isinstance(hostiles, str):
+        one_of(hostiles, (EVERY_DOOR,), "environment, hostiles")
+        hostiles = hostile_candidates(building)
     reading = Reading.from_json(data.get("reading", {}), "environment, reading")
+    terms = terms_from_json({name: data[name] for name in TERMS if name in data}, "environment", code.named)
     try:
-        return Mission(building, data.get("team", "10+5"), reading=reading, **rest)
+        return Mission(building, reading=reading, hostiles=hostiles, **{"team": "10+5"} | terms)
     except TaskliftError as error:
         raise TaskliftError(f"environment: {error}") from error
 

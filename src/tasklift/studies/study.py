@@ -23,7 +23,9 @@ from tasklift.building.generate import generate
 from tasklift.building.graph import Building
 from tasklift.building.mission import Mission
 from tasklift.building.reading import Reading
-from tasklift.building.team import Kind, parse_team
+from tasklift.building.team import Kind
+from tasklift.building.terms import parse_terms, terms_from_json, terms_of, terms_to_json
+from tasklift.building.variables import TABLE_I, TABLE_I_OUTPUTS, Sensor
 from tasklift.checks import one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.lab import Cell, CellResult, Spec
@@ -33,7 +35,9 @@ from tasklift.learning.learner import MOST_TRIALS, InTurn, Learner, Run
 from tasklift.learning.reinforcement import Fixed, Reinforcement, Sweep
 from tasklift.learning.search import PolicySearch
 from tasklift.studies.arms import ARMS, PRACTICE, SEARCHED, Arm, Setup, arms_named
+from tasklift.studies.own_code import OwnCode
 from tasklift.tasks.policy import Policy
+from tasklift.tasks.variable import Variable
 
 if TYPE_CHECKING:
     from tasklift.building.simulator import SearchOutcomes, Trace
@@ -134,7 +138,7 @@ class Study:
         Traversals per output on the simple task V (44 outputs × 5 in the paper).
     practice
         Episodes of drills for the arm that searches.
-    team, weapons_needed, limit
+    team, weapons_needed, limit, inputs, outputs
         As in :class:`tasklift.building.Mission`.
     unseen
         Further buildings, on which nothing is learned: policies are tried there greedily, seed by seed in turn.
@@ -172,6 +176,8 @@ class Study:
     team: str | Mapping[Kind, int] = "10+5"
     weapons_needed: int = 2
     limit: int = 600
+    inputs: Sequence[str | Sensor] = TABLE_I
+    outputs: Sequence[str] = TABLE_I_OUTPUTS
     unseen: Mapping[str, Building] = field(default_factory=dict)
     record: Record = field(default_factory=Record)
     arms: Mapping[str, Arm] = field(default_factory=lambda: ARMS)
@@ -211,7 +217,7 @@ class Study:
         return cls(buildings, conditions, (part,), arms=ARMS | {arm.slug: arm for arm in given}, **options)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "team", parse_team(self.team))
+        parse_terms(self)
         for name in ("trials", "repeats", "practice"):
             whole_number(getattr(self, name), name, 1, MOST_TRIALS)
         cells = sum(prod(map(len, (p.arms, p.conditions, p.maps, p.seeds))) for p in self.parts)
@@ -226,10 +232,17 @@ class Study:
                 for condition, name in product(part.conditions, part.maps):
                     self.mission(condition, name)
                     if condition == part.conditions[0] and name == part.maps[0]:
-                        arm.curriculum(self._setup(condition, name)).check()
+                        self._check(arm, self._setup(condition, name))
             if part.arms and self.unseen:
                 for condition, name in product(part.conditions, self.unseen):
                     self.mission(condition, name)
+
+    @staticmethod
+    def _check(arm: Arm, on: Setup) -> None:
+        try:
+            arm.curriculum(on).check()
+        except TaskliftError as error:
+            raise TaskliftError(f"arm {arm.slug!r}: {error}") from error
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave compiled worlds behind when a study travels to another process."""
@@ -249,7 +262,7 @@ class Study:
             if len(worlds) >= WORLDS_KEPT:
                 worlds.clear()
             place = self.buildings[building] if building in self.buildings else self.unseen[building]
-            made = Mission(place, self.team, of.hostiles, of.reading, self.weapons_needed, self.limit)
+            made = Mission(place, hostiles=of.hostiles, reading=of.reading, **terms_of(self))
             mission = worlds.setdefault((of.hostiles, of.reading), made)  # threads that come at once share one
         return Setup(mission, of.reinforcement, self.trials, self.repeats, self.practice, worlds)
 
@@ -328,7 +341,8 @@ class Study:
             if self.record.weights or arm.slug == SEARCHED.slug:
                 attachments["weights"] = run.policy.weights
             if "target" in run.outcomes:
-                attachments["move_weights"] = move_weights(run.policy)
+                weights = move_weights(run.policy)
+                attachments |= {} if weights is None else {"move_weights": weights}
                 for name, place in self._tried(cell).items():
                     kept[name] = _columns(self._greedily(cell, place, run.policy))
                     for column in ("steps", "losses", "success"):
@@ -421,8 +435,7 @@ class Study:
         steps = run.outcomes["source"].steps
         return {
             "ca_weights": ca_weights(learned),
-            # the outputs in order, again and again: repeat, MV, WPN, CA
-            "ca_steps": steps.reshape(-1, 2, 2, 11)[:, 1].mean(axis=(0, 1)),
+            "ca_steps": _means(steps, learned.task.outputs, ("MV", "CA"))[1],  # the outputs in order, again and again
         }
 
     def _shared(self, cell: Cell) -> dict[Any, CurriculumRun]:
@@ -450,9 +463,7 @@ class Study:
                 "trials": self.trials,
                 "repeats": self.repeats,
                 "practice": self.practice,
-                "team": [[kind.name, kind.speed_mm, kind.armed, n] for kind, n in self.team.items()],  # type: ignore[union-attr]
-                "weapons_needed": self.weapons_needed,
-                "limit": self.limit,
+                "mission": terms_to_json(self),
                 "greedy_trials": GREEDY_TRIALS,
                 "unseen": {name: _of_building(building) for name, building in self.unseen.items()},
                 "record": dataclasses.asdict(self.record),
@@ -475,7 +486,7 @@ class Study:
         spec
             Of an experiment's store.
         folder
-            Where buildings that were not generated lie, as ``.json`` files.
+            Where buildings that were not generated lie, as ``.json`` files, and modules with sensors of one's own.
         arms
             By slug. Arms that were made from a spec file are made again.
 
@@ -497,11 +508,11 @@ class Study:
                 {name: Condition.from_json(of) for name, of in conditions.items()},
                 (Part(tuple(slugs), tuple(conditions), tuple(maps), tuple(int(seed) for seed in seeds)),),
                 axis=axis,
-                team={Kind(name, speed, armed): n for name, speed, armed, n in settings["team"]},
                 unseen={name: _building(folder, name, of) for name, of in settings["unseen"].items()},
                 record=Record(tuple(kept["columns"]), tuple(kept["stages"]), kept["policy"], kept["weights"]),
                 arms={**arms, **own},
-                **{key: settings[key] for key in ("trials", "repeats", "practice", "weapons_needed", "limit")},
+                **{key: settings[key] for key in ("trials", "repeats", "practice")},
+                **terms_from_json(settings["mission"], f"{folder}, mission", OwnCode(folder).named),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             if isinstance(error, TaskliftError):
@@ -558,14 +569,33 @@ def _columns(outcomes: Any) -> dict[str, NDArray[Any]]:
     }
 
 
-def move_weights(policy: Policy) -> NDArray[np.float64]:
-    """Return Figure 5's table, float64 (3, 5, 2): the mean weight by nWPN, FTR and MV, over all else."""
-    return policy.weights.reshape(3, 2, 3, 5, 2, 22).mean(axis=(0, 1, 5))
+def move_weights(policy: Policy) -> NDArray[np.float64] | None:
+    """Return Figure 5's table, float64 (3, 5, 2): the mean weight by nWPN, FTR and MV, over all else.
+
+    None if the task lacks one of them.
+    """
+    task, kept = policy.task, ("nWPN", "FTR", "MV")
+    if not {variable.name for variable in task.variables}.issuperset(kept):
+        return None
+    return _means(policy.weights, task.variables, kept)
 
 
 def ca_weights(source: Policy) -> NDArray[np.float64]:
     """Return Figure 3's curve, float64 (11,): V's mean weight by CA where robots move, over all else."""
-    return source.weights.reshape(15, 2, 2, 11)[:, 1].mean(axis=(0, 1))
+    found: NDArray[np.float64] = _means(source.weights, source.task.variables, ("MV", "CA"))[1]
+    return found
+
+
+def _means(table: NDArray[Any], variables: Sequence[Variable], kept: Sequence[str]) -> NDArray[np.float64]:
+    """Return the means of a table over all variables but those that are kept, one axis for each of these, in order.
+
+    The table's last axes are those of the variables; it is averaged over further ones before them, too.
+    """
+    cube = table.reshape(-1, *map(len, variables))
+    names = ["", *(variable.name for variable in variables)]
+    means = cube.mean(axis=tuple(k for k, name in enumerate(names) if name not in kept))
+    left = [name for name in names if name in kept]
+    return np.asarray(means.transpose([left.index(name) for name in kept]))
 
 
 def numbered(count: int, what: str, first: int = 0) -> range:

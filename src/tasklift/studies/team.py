@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ import numpy as np
 from tasklift.building.least import least_steps
 from tasklift.building.mission import Mission
 from tasklift.building.reading import PRESETS
+from tasklift.building.team import Kind, parse_team, team_to_json
+from tasklift.building.terms import terms_to_json
 from tasklift.checks import number, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import output_folder
@@ -25,6 +27,7 @@ from tasklift.report.charts import Mark, Row
 from tasklift.report.page import Report
 from tasklift.studies import report
 from tasklift.studies.arms import Setup, expert, searching
+from tasklift.studies.mission_file import declared
 
 #: Episodes of practice per team, and fresh episodes by which a team's policies are judged.
 PRACTICE, JUDGED = 12_000, 500
@@ -34,11 +37,12 @@ MOST_TEAMS = 400
 def team(
     *,
     building: Path,
+    mission: Path | None = None,
     scouts: Sequence[int] = (10,),
     weapons: Sequence[int] = (2, 3, 5, 8, 12, 18),
     hostiles: int = 1,
-    weapons_needed: int = 2,
-    limit: int = 600,
+    weapons_needed: int | None = None,
+    limit: int | None = None,
     preset: str = "scattered",
     practice: int = PRACTICE,
     ready: float = 0.95,
@@ -55,7 +59,9 @@ def team(
         File of the building.
     scouts, weapons
         Numbers of scouts and of weapon robots; every combination is tried.
-    hostiles, weapons_needed, limit
+    mission, weapons_needed, limit
+        As in :func:`.declared`. The file's team says which kinds of robots the scouts and the weapon robots are.
+    hostiles
         As in :class:`tasklift.building.Mission`.
     preset
         ``scattered`` or ``cohesive``.
@@ -87,16 +93,22 @@ def team(
     reading = replace(PRESETS[one_of(preset, list(PRESETS), "preset")], relocate=True)
     if len(scouts) * len(weapons) > MOST_TEAMS:
         raise TaskliftError(f"team: asks for {len(scouts) * len(weapons):,} teams; at most {MOST_TEAMS}")
+    terms = declared(mission, weapons_needed=weapons_needed, limit=limit)
+    scout, weapon = _kinds(parse_team(terms.pop("team")))
+    m = terms.get("weapons_needed", 2)
     missions = {
-        f"{s}+{w}": Mission(place, f"{s}+{w}", hostiles, reading, weapons_needed, limit)
+        f"{s}+{w}": Mission(place, {scout: s, weapon: w}, hostiles, reading, **terms)
         for s in sorted(set(scouts))
         for w in sorted(set(weapons))
-        if w >= weapons_needed or not hostiles
+        if w >= m or not hostiles
     }
     if not missions:
-        raise TaskliftError(f"weapons: a hostile needs {weapons_needed} weapon robots; name a larger number")
-    settings = {"building": place.content_id, "hostiles": hostiles, "weapons_needed": weapons_needed, "limit": limit,
-                "preset": preset, "practice": practice, "judged": JUDGED}  # fmt: skip
+        raise TaskliftError(f"weapons: a hostile needs {m} weapon robots; name a larger number")
+    first = next(iter(missions.values()))
+    expert(first)  # refuses a task in which the reference cannot wait
+    shared = terms_to_json(first) | {"team": team_to_json({scout: 0, weapon: 0})}
+    settings = {"building": place.content_id, "hostiles": hostiles, "mission": shared, "preset": preset,
+                "practice": practice, "judged": JUDGED}  # fmt: skip
     spec = Spec.of(f"teams for {place.name}", settings, {"team": list(missions)}, over=("team",))
     usual = Path("runs") / f"{building.stem}-team"
     folder = output_folder(usual if out is None else out, (FILE_NAME,), ("figures",))
@@ -121,6 +133,15 @@ def team(
         report.add_settings(page, store, command, since)
         page.write(folder / "report.html")
     return [*(_line(row) for row in [HEADERS, *rows]), verdict], folder / "report.html"
+
+
+def _kinds(team: Mapping[Kind, int]) -> tuple[Kind, Kind]:
+    """Return the kind of scouts and the kind of weapon robots."""
+    unarmed, armed = ([kind for kind in team if kind.armed is carries] for carries in (False, True))
+    if len(unarmed) != 1 or len(armed) != 1:
+        names = ", ".join(kind.name for kind in team)
+        raise TaskliftError(f"team: expected one kind of robots without weapons and one with, found {names}")
+    return unarmed[0], armed[0]
 
 
 HEADERS = ["team", "robots", "policy", "solved (%)", "steps", "lost per 100", "steps needed"]

@@ -28,6 +28,7 @@ from tasklift.studies import report
 from tasklift.studies.arms import PRACTICE, Arm
 from tasklift.studies.certify import Certified, certify, quantile_bound
 from tasklift.studies.claims import indirect
+from tasklift.studies.mission_file import declared, save_declared
 from tasklift.studies.paper import figures
 from tasklift.studies.readiness import advice, diagnose
 from tasklift.studies.samples import Sample
@@ -71,10 +72,11 @@ class Candidate:
 def train(
     *,
     building: Path,
-    team: str = "10+5",
+    mission: Path | None = None,
+    team: str | None = None,
     hostiles: int = 1,
-    weapons_needed: int = 2,
-    limit: int = 600,
+    weapons_needed: int | None = None,
+    limit: int | None = None,
     preset: str = "scattered",
     arms: Sequence[str] = TRAINED,
     curriculum: Sequence[Path] = (),
@@ -94,7 +96,9 @@ def train(
     ----------
     building
         File of the building.
-    team, hostiles, weapons_needed, limit
+    mission, team, weapons_needed, limit
+        As in :func:`.declared`.
+    hostiles
         As in :class:`tasklift.building.Mission`.
     preset
         ``scattered`` or ``cohesive``.
@@ -134,7 +138,8 @@ def train(
     named: list[str | Arm] = [*arms, *(arm_of(file) for file in curriculum)]
     study = Study.every(
         {building.stem: place}, {preset: Condition(rules, hostiles=hostiles)}, named, seeds=seeds, trials=trials,
-        practice=practice, team=team, weapons_needed=weapons_needed, limit=limit, record=Record(weights=True),
+        practice=practice, record=Record(weights=True),
+        **declared(mission, team=team, weapons_needed=weapons_needed, limit=limit),
     )  # fmt: skip
     arms = study.slugs(building.stem)
     if not any(study.arms[slug].learns for slug in arms):
@@ -146,23 +151,22 @@ def train(
         export(folder, folder / "rows.csv")
         samples = {slug: Sample.of(store, slug, reading=preset) for slug in arms}
         # hostiles stand somewhere else in every episode: nobody knows where they will be
-        mission = study.mission(preset, building.stem).with_reading(relocate=True)
-        found = candidates(study, store, mission)
+        world = study.mission(preset, building.stem).with_reading(relocate=True)
+        found = candidates(study, store, world)
         price = {slug: _price(study, preset, building.stem, slug) for slug in arms}
         place.save(folder / "building.json")
+        save_declared(world, folder)
         _save_points(found, ready, folder / "policies")
-        asked: dict[str, Any] = {"team": team, "hostiles": (hostiles,), "limit": limit}
-        asked |= {"weapons_needed": weapons_needed, "preset": preset}
         best = chosen(found)
-        best, made = _handed_over(best, ready, folder, asked)
+        best, made = _handed_over(best, ready, folder, {"hostiles": (hostiles,), "preset": preset})
         if made is not None:
-            lines = [headline(made, best, mission, price[best.arm.slug])]
+            lines = [headline(made, best, world, price[best.arm.slug])]
         else:
-            lines = _not_ready(best, mission, ready, folder, progress)
+            lines = _not_ready(best, world, ready, folder, progress)
         lines += comparison(found, samples, price, best)
         path = folder / "report.html"
-        links = _replays(found, mission, folder, play)
-        page = _report(mission, samples, found, price, study.arms, ready, lines, preset, folder, links, made)
+        links = _replays(found, world, folder, play)
+        page = _report(world, samples, found, price, study.arms, ready, lines, preset, folder, links, made)
         report.add_settings(page, store, command, since)
         page.write(path)
     return lines, path
@@ -409,9 +413,10 @@ def _report(
     with page.fold("Means while learning, and what was spent and lost by stage"):
         page.table(*report.arm_table(samples, arms), caption=f"On T, preset **{preset}**")
         page.table(report.LEDGER_HEADERS, report.ledger_rows(samples, arms), caption="Per seed")
-    with page.fold("Stop or move, by the feature faced"):
-        for arm in indirect(samples, arms):
-            report.add_move_weights(page, samples[arm], arms[arm].label)
+    if all(sample.move_weights is not None for sample in samples.values()):
+        with page.fold("Stop or move, by the feature faced"):
+            for arm in indirect(samples, arms):
+                report.add_move_weights(page, samples[arm], arms[arm].label)
     with page.fold("The building as a plan and as its graph"):
         page.figure(pictures.save(figures.figure1(mission.building), folder / "figures", "building")[1])
     return page

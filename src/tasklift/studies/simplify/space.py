@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, combinations, product
 from typing import Any
 
 from tasklift.building import Mission
 from tasklift.building.search import SEARCH_SIGNALS, SEARCH_TIME_REWARD
+from tasklift.building.team import team_to_json
 from tasklift.errors import TaskliftError
 from tasklift.studies.spec_file import EVERY_DOOR
 from tasklift.tasks.task import Task
@@ -271,12 +272,12 @@ def _switches(settings: Mapping[str, Any], world: Any) -> list[Mapping[str, Any]
 
 def _half_team(mission: Mission) -> list[Mapping[str, Any]]:
     """Return the switch that halves the team, if that leaves enough robots to destroy a hostile."""
-    half = {kind.name: (n + 1) // 2 for kind, n in mission.team.items()}
+    half = {kind: (n + 1) // 2 for kind, n in mission.team.items()}
     try:
-        Mission(mission.building, half, mission.hostiles, weapons_needed=mission.weapons_needed)
+        replace(mission, team=half)
     except TaskliftError:
         return []
-    return [{"name": "half the team", "options": {"team": half}}]
+    return [{"name": "half the team", "options": {"team": team_to_json(half)}}]
 
 
 def _carries(simple: Task, settings: Mapping[str, Any]) -> list[Carry]:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
+import os
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -13,6 +16,8 @@ from test_simulator import agree
 import tasklift as tl
 from strategies import missions, reinforcements
 from tasklift.building import Kind, Mission, Reading, generate
+from tasklift.building.inputs import kernel_for
+from tasklift.building.randomness import inline
 from tasklift.building.variables import (
     INPUTS,
     OUTPUTS,
@@ -129,3 +134,56 @@ def test_what_cannot_be_chosen_is_refused_in_one_line():
     hunt = Mission(building, "1+2", inputs=[around])
     with pytest.raises(TaskliftError, match="without values from around it"):
         hunt.evaluate(tl.Policy.equal(hunt.task), 1)
+
+
+def module(**values):
+    found = ModuleType("settings")
+    vars(found).update(values)
+    return found
+
+
+def helper(body):
+    space = {"__name__": "helpers"}
+    exec(f"def helper(x):\n    return {body}\n", space)
+    return inline(space["helper"])
+
+
+@pytest.mark.parametrize(
+    ("body", "one", "other"),
+    [
+        ("K[1]", np.array([1, 2]), np.array([1, 3])),
+        ("K[1]", np.array([1, 2], np.int32), np.array([1, 2], np.int64)),
+        ("K[0][1]", (np.arange(3000), 1), (np.arange(3000) * (np.arange(3000) != 1500), 1)),
+        ("K", 1, 2),
+        ("K", 1, 1.0),
+        ("max([K for _ in range(2)])", 1, 2),
+        ("K.level", module(level=1), module(level=2)),
+        ("K.LOW.value", enum.Enum("K", {"LOW": 1}), enum.Enum("K", {"LOW": 2})),
+        ("K(r)", helper("x"), helper("x + 1")),
+        ("K(r)", helper("max([x for _ in range(2)])"), helper("max([x for _ in range(3)])")),
+    ],
+)
+def test_whatever_a_sensor_uses_by_name_compiles_anew_when_it_changes(body, one, other, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    names = []
+    for value in (one, one, other):
+        space = {"__name__": "mine", "K": value}
+        exec(f"def read(world, rules, lane, r, numbers):\n    return {body}\n", space)
+        names.append(kernel_for((Sensor(Variable("S", range(9)), space["read"]),)).__name__)
+    assert names[0] == names[1] != names[2]
+
+
+@pytest.mark.parametrize("value", [{"a": 1}, [1, 2], object()])
+def test_a_value_without_a_content_is_refused_by_name(value):
+    space = {"__name__": "mine", "K": value}
+    exec("def read(world, rules, lane, r, numbers):\n    return len(K)\n", space)
+    with pytest.raises(TaskliftError, match="sensor 'S', K: expected a number, an array or a function"):
+        kernel_for((Sensor(Variable("S", range(9)), space["read"]),))
+
+
+def test_kernels_are_kept_where_there_are_no_user_ids(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.delattr(os, "getuid")
+    assert kernel_for((waited(7, 9),)).__file__.startswith(str(tmp_path / "tasklift"))

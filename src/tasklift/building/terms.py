@@ -59,7 +59,7 @@ def parse_terms(declares: Any) -> None:
     Raises
     ------
     TaskliftError
-        For what is no team, and what cannot be chosen.
+        For a team that cannot be read, and for inputs and outputs that cannot be chosen.
     """
     for name, parse in _PARSED.items():
         object.__setattr__(declares, name, parse(getattr(declares, name)))

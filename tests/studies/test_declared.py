@@ -29,7 +29,7 @@ from tasklift.studies.arms import Setup
 from tasklift.studies.certify import Ground, certify, verify
 from tasklift.studies.mission_file import declared, save_declared
 from tasklift.studies.own_code import OwnCode
-from tasklift.studies.simplify import study_of
+from tasklift.studies.simplify.search import study_of
 from tasklift.studies.spec_file import arm_of, curriculum_of
 from tasklift.studies.study import Condition, Study
 from tasklift.studies.team import team

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import os
 import threading
 from collections.abc import Mapping
@@ -25,7 +24,7 @@ from tasklift.learning.ledger import Entry, Ledger
 from tasklift.learning.model import Model
 from tasklift.learning.worlds import Outcomes, StepOutcomes
 from tasklift.studies.own_code import OwnCode
-from tasklift.studies.spec_file import about, curriculum_of, read_spec
+from tasklift.studies.spec_file import about, code_beside, curriculum_of, read_spec
 from tasklift.studies.study import MOST_SEEDS
 from tasklift.tasks.policy import Policy
 
@@ -132,18 +131,9 @@ class SpecStudy:
         settings = {name: value for name, value in self.document.items() if name not in _NO_ROWS}
         worlds = [stage.world for stage in self.curriculum.stages]
         settings["buildings"] = [world.building.content_id for world in worlds if isinstance(world, Mission)]
-        settings["modules"] = {
-            name: hashlib.sha256((self.folder / f"{name}.py").read_bytes()).hexdigest() for name in self._modules()
-        }
+        settings["modules"] = code_beside(self.document, self.folder)
         axes: dict[str, Any] = {"seed": range(self.seeds), "arm": [CURRICULUM, DIRECT]}
         return Spec.of(str(self.document["name"]), settings, axes, over=["seed"])
-
-    def _modules(self) -> list[str]:
-        """Return the modules beside the spec that it names."""
-        parts = [self.document["environment"], self.document.get("learner", {})]
-        parts += [stage.get("learner", {}) for stage in self.document["stages"]]
-        named = {str(part.get(key, "")).partition(":")[0] for part in parts for key in ("python", "gymnasium")}
-        return sorted(name for name in named if name and (self.folder / f"{name}.py").is_file())
 
     def cells(self) -> list[Cell]:
         """Return the units of work; the two of a seed are side by side."""

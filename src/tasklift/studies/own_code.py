@@ -28,6 +28,9 @@ LONGEST_LOAD_S = 20.0
 """Seconds that a module, or what it makes, may take to be there; training has no limit."""
 
 
+_loading = threading.RLock()  # one thread at a time runs a module beside a spec
+
+
 class _Late(BaseException):
     """The time is over; no ``except Exception`` of the user's catches it."""
 
@@ -78,14 +81,15 @@ class OwnCode:
         return getattr(module, attribute)
 
     def module(self, name: str, where: str) -> ModuleType:
-        """Return a module beside the spec, run once; or any other, if that is allowed."""
+        """Return a module beside the spec, run once as long as it stays the same; or any other, if that is allowed."""
         if name in self._modules:
             return self._modules[name]
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name):
             raise TaskliftError(f"{where}: expected the name of a module, found {shown(name)}")
         file = self.folder / f"{name}.py"
         if file.is_file():
-            found = self._beside(name, file, where)
+            with _loading:
+                found = self._beside(name, file, where)
         elif self.anywhere:
             with self.loading(where):
                 found = import_module(name)
@@ -101,6 +105,8 @@ class OwnCode:
         # of a name of its own, so that it never takes the place of an installed module, or of another spec's; the same
         # one for the same content, since machine code that is kept is looked for by it
         known = f"spec_{hashlib.sha256(file.read_bytes()).hexdigest()[:8]}_{name}"
+        if known in sys.modules and sys.modules[known].__file__ == str(file):
+            return sys.modules[known]
         plan = spec_from_file_location(known, file)
         assert plan is not None
         assert plan.loader is not None
@@ -109,6 +115,9 @@ class OwnCode:
         try:
             with self.loading(where):
                 plan.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[known]
+            raise
         finally:
             sys.path.remove(str(self.folder))
         return module

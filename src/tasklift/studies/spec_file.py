@@ -34,6 +34,7 @@ The whole language, by example (``docs/tutorial.md`` explains it)::
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping, MutableMapping
@@ -168,6 +169,22 @@ def curriculum_of(
     with code.running("stages"):
         curriculum.check()
     return curriculum
+
+
+def code_beside(document: Mapping[str, Any], folder: Path) -> dict[str, str]:
+    """Return the modules beside a spec that it names anywhere, with the SHA-256 of each."""
+    named = sorted({name.partition(":")[0] for name in _code_named(document)})
+    files = {name: folder / f"{name}.py" for name in named}
+    return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items() if file.is_file()}
+
+
+def _code_named(part: Any) -> Iterator[str]:
+    """Yield what a spec, or a part of it, names as code: the worlds and learners of modules."""
+    if isinstance(part, Mapping):
+        yield from (part[key] for key in ("python", "gymnasium") if isinstance(part.get(key), str))
+    if isinstance(part, Mapping | list):
+        for value in part.values() if isinstance(part, Mapping) else part:
+            yield from _code_named(value)
 
 
 def arm_of(path: str | os.PathLike[str], *, allow_imports: bool = False) -> Arm:

@@ -27,7 +27,7 @@ from tasklift.learning.model import Model
 from tasklift.learning.worlds import StepOutcomes
 from tasklift.studies.own_code import OwnCode
 from tasklift.studies.simplify.space import Candidate, chains, joined, steps
-from tasklift.studies.spec_file import about, curriculum_of, read_spec
+from tasklift.studies.spec_file import about, code_beside, curriculum_of, read_spec
 
 SCRATCH = "from scratch"
 #: Seeds of the race: rung after rung the better half of the candidates goes on to more of them.
@@ -270,6 +270,9 @@ class SimplifyStudy:
         known[probe + SCRATCH] = None
         meant = {name: self.spec_of(candidate, share)["stages"] for name, candidate in known.items()}
         settings = {name: value for name, value in self.document.items() if name not in ("name", "seeds")}
+        world = self.curriculum(None).stages[-1].world
+        settings["building"] = world.building.content_id if isinstance(world, Mission) else None
+        settings["modules"] = code_beside(self.document, self.folder)
         axes: dict[str, Any] = {"seed": seeds, "candidate": meant}
         spec = Spec.of(str(self.document["name"]), settings, axes, over=["seed"])
 

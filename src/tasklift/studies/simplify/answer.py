@@ -68,8 +68,11 @@ class Answer:
             why = "" if found.judged[0].allowed else "; it solves the task less often, or costs more than allowed"
             best = found.judged[0].candidate.words
             first = f"Nothing helps: learn the task from scratch. The best of the candidates is {best}; {said}{why}."
-        if found.regret is not None:
-            tried += f". Its choice against the best of the others judged: {measure} {found.regret.interval}"
+        if found.runner_up is not None:
+            less, success = found.regret(found.runner_up)
+            other = found.runner_up.candidate.words
+            tried += f". Its choice against the best of the others judged, {other}: {measure} {less.interval}"
+            tried += f", late success {success.interval}"
         return [first, f"{tried}.", *(f"left out: {words} ({why})" for words, why in found.refused.items())]
 
     @property
@@ -105,7 +108,7 @@ def simplify(
         A spec with one stage, the target task, and a table ``[simplify]``.
     out
         A folder for the experiment, ``curriculum.json`` (the recommended spec, which ``tasklift learn`` runs),
-        ``answer.txt`` and ``lattice.svg``; the same call resumes there.
+        ``answer.txt`` and, of the tasks that were raced, ``lattice.svg``; the same call resumes there.
     allow_imports
         As in :func:`.curriculum_of`.
     progress
@@ -122,7 +125,8 @@ def simplify(
         if out is not None:
             write_atomically(folder / "curriculum.json", canonical_json(dict(answer.document)) + "\n")
             write_atomically(folder / "answer.txt", "\n".join(answer.lines) + "\n")
-            pictures.save(lattice_figure(answer), folder, "lattice")
+            if _fields(answer.found):
+                pictures.save(lattice_figure(answer), folder, "lattice")
     return answer
 
 
@@ -191,7 +195,7 @@ def lattice_figure(answer: Answer) -> Figure:
     axes.xaxis.tick_top()
     axes.set_xlabel(
         f"{answer.criterion.replace('-', ' ')} saved against learning from scratch\n"
-        "hatched: the target is solved less often, or a limit is passed"
+        "hatched: the target is solved less often, or a limit is passed; white: left out by the probe"
     )
     return figure
 

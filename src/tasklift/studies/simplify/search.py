@@ -49,8 +49,6 @@ MARGIN, PROBE_MARGIN = 0.05, 0.2
 LATE = 20
 #: The share of successes to reach, unless the spec says otherwise.
 THRESHOLD = 0.8
-
-
 #: What can be compared; less is better for all of them.
 CRITERIA = ("losses", "losses-after-arrival", "steps", "steps-to-threshold", "area")
 
@@ -123,18 +121,22 @@ class Found:
     tried: int
     episodes: int
 
-    def against_scratch(self, k: int = 0) -> stats.Comparison:
-        """Compare the ``k``-th of the judged with learning from scratch."""
-        return stats.compare(self.judged[k].measures.criterion, self.judge.criterion, better="less")
+    def against_scratch(self) -> stats.Comparison:
+        """Compare the chosen candidate with learning from scratch."""
+        return stats.compare(self.judged[0].measures.criterion, self.judge.criterion, better="less")
 
     @property
-    def regret(self) -> stats.Comparison | None:
-        """The chosen candidate less the best of all that were judged, on seeds that chose neither's place."""
-        first, *others = self.judged
-        if not others:
-            return None
-        least = min(others, key=lambda one: one.rank)
-        return stats.compare(first.measures.criterion, least.measures.criterion, better="less")
+    def runner_up(self) -> Raced | None:
+        """The best of the others that were judged."""
+        return min(self.judged[1:], key=lambda one: one.rank, default=None)
+
+    def regret(self, other: Raced) -> tuple[stats.Comparison, stats.Comparison]:
+        """Compare the chosen candidate with another one by criterion and by late success, on the seeds that judge."""
+        ours, theirs = self.judged[0].measures, other.measures
+        return (
+            stats.compare(ours.criterion, theirs.criterion, better="less"),
+            stats.compare(ours.success, theirs.success, better="greater"),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +271,9 @@ class SimplifyStudy:
         known: dict[str, Candidate | None] = {probe + candidate.name: candidate for candidate in candidates}
         known[probe + SCRATCH] = None
         meant = {name: self.spec_of(candidate, share)["stages"] for name, candidate in known.items()}
-        settings = {name: value for name, value in self.document.items() if name not in ("name", "seeds")}
+        # stages decide what a candidate comes to: other candidates, criteria or seeds go on in the same file
+        settings = {name: value for name, value in self.document.items() if name not in ("name", "seeds", "simplify")}
+        settings["threshold"] = self.settings.get("threshold", THRESHOLD)
         world = self.curriculum(None).stages[-1].world
         settings["building"] = world.building.content_id if isinstance(world, Mission) else None
         settings["modules"] = code_beside(self.document, self.folder)

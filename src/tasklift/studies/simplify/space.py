@@ -19,7 +19,7 @@ from tasklift.building.team import team_to_json
 from tasklift.errors import TaskliftError
 from tasklift.studies.spec_file import EVERY_DOOR
 from tasklift.tasks.task import Task
-from tasklift.tasks.variable import Variable
+from tasklift.tasks.variable import Signal, Variable
 
 #: Fields of a stage that say how its task differs from the next one's; moves of one stage may share them.
 CHANGES = ("fix", "remove", "restrict", "merge")
@@ -231,7 +231,8 @@ def _simplified(task: Task, moves: Sequence[Move]) -> Task | None:
     if set(fixed) & {*changed, *changes.get("restrict", {})}:
         return None
     try:
-        simple = task.simplify(**changes, signals=() if "signals" in fields else None)
+        own = [Signal(**signal) for signal in fields["signals"]] if "signals" in fields else None
+        simple = task.simplify(**changes, signals=own)
     except TaskliftError:
         return None
     return simple if simple.shape[1] > 1 else None

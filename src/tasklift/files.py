@@ -145,6 +145,19 @@ def results_folder(path: PathLike | None, own: Sequence[str]) -> Iterator[Path]:
         yield Path(folder)
 
 
+def output_files(*named: tuple[PathLike | None, Collection[str]], force: bool = False,
+                 reads: Iterable[PathLike] = ()) -> list[Path]:  # fmt: skip
+    """Return the paths that a command may write its outputs to, each with its ``suffixes``; see :func:`output_file`.
+
+    Outputs that are None are left out. Two of one name would replace each other, and are refused.
+    """
+    targets = [output_file(path, suffixes, force=force, reads=reads) for path, suffixes in named if path is not None]
+    for i, target in enumerate(targets):
+        if target.resolve() in [other.resolve() for other in targets[:i]]:
+            raise TaskliftError(f"{target}: is named for two outputs; give each a name of its own")
+    return targets
+
+
 def output_folder(path: PathLike, own: Sequence[str] = (), parts: Sequence[str] = ()) -> Path:
     """Make the folder of a command's results, or recognise it: new, empty, or with one of the files ``own`` in it.
 
@@ -254,6 +267,14 @@ def read_bytes(path: PathLike, most: int = LARGEST_FILE) -> bytes:
     return data
 
 
+def holds(path: PathLike, text: str) -> bool:
+    """Return whether there is a plain file with exactly this text."""
+    try:
+        return read_bytes(path) == text.encode()
+    except TaskliftError:
+        return False
+
+
 def read_text(path: PathLike, most: int = LARGEST_FILE) -> str:
     """Return the text of a plain file: UTF-8, a byte-order mark left out, lines ending in one newline character."""
     try:
@@ -313,7 +334,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     except RecursionError as error:
         raise TaskliftError(f"{where}: TOML nested too deeply to be one of our files") from error
     except ValueError as error:  # whole numbers of more than 4,300 digits, days that do not exist
-        raise TaskliftError(f"{where}: a number or a date is out of range ({error})") from error
+        raise TaskliftError(f"{where}: a number or a date is out of range ({str(error).partition(';')[0]})") from error
     return plain(value, where)
 
 

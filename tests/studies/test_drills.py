@@ -19,7 +19,7 @@ from tasklift.learning.curriculum import Curriculum
 from tasklift.studies.arms import ARMS, COUNTED, DRILLS, EVERY_DOOR, LOSS_SIGNAL, SELECTIONS, Drilling, Setup
 from tasklift.studies.drills import report as drill_report
 from tasklift.studies.drills.contrasts import after_holm, contrast, times, times_fewer
-from tasklift.studies.drills.report import BEGIN, END, chosen, headline, paste
+from tasklift.studies.drills.report import BEGIN, END, chosen, headline
 from tasklift.studies.drills.study import (
     CHOSEN,
     DOORS,
@@ -307,13 +307,18 @@ def test_the_command_leaves_a_report_a_figure_and_a_page(tmp_path, monkeypatch, 
     assert "tasklift drills --maps 1 --seeds 2 --hostiles 2 --out out" in report
 
 
-def test_a_page_without_marks_and_a_wrong_range_are_refused(tmp_path, monkeypatch, capsys):
+def test_a_page_without_marks_a_picture_of_the_users_and_a_wrong_range_are_refused(tmp_path, monkeypatch, capsys):
     page = tmp_path / "page.md"
     page.write_text("no marks\n", encoding="utf-8")
     with pytest.raises(TaskliftError, match="marks"):
-        paste("results", page)
-    with pytest.raises(TaskliftError, match="marks"):
         drill_report.drills(out=tmp_path / "out", maps=1, seeds=1, page=page)
+    page.write_text(f"![mine](pictures/drills.png)\n{BEGIN}\n{END}\n", encoding="utf-8")
+    picture = tmp_path / "pictures" / "drills.png"
+    picture.parent.mkdir()
+    picture.write_text("precious", encoding="utf-8")
+    with pytest.raises(TaskliftError, match="is there already"):
+        drill_report.drills(out=tmp_path / "out", maps=1, seeds=1, page=page)
+    assert picture.read_text(encoding="utf-8") == "precious"
     assert not (tmp_path / "out").exists()
     for text in ("x", "0-3", "3-1", "-2", "1,,3"):
         monkeypatch.setattr(sys, "argv", ["tasklift", "drills", "--hostiles", text])

@@ -209,6 +209,10 @@ def test_the_command_writes_every_kind_by_its_name(tmp_path, monkeypatch) -> Non
     policy.save("policy.json")
     for name in ("copy.json", "table.csv", "net.onnx", "policy.py", "policy.h", "team_node"):
         export("policy.json", "-o", name)
+        if name == "team_node":  # a package that was stopped half-way is finished; only another one is in the way
+            Path(name, "setup.py").unlink()
+            export("policy.json", "-o", name)
+            Path(name, "setup.py").write_text("mine")
         with pytest.raises(TaskliftError, match="is there already"):
             export("policy.json", "-o", name)
         export("policy.json", "-o", name, "--force")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -76,7 +77,7 @@ def import_command(
     force: bool,
 ) -> None:
     """Turn a map into a building; 'map formats' lists what is read."""
-    from tasklift.files import output_file
+    from tasklift.files import output_files
     from tasklift.plans.importing import import_map
 
     if level is not None and levels is not None:
@@ -87,8 +88,7 @@ def import_command(
         stem = file.name.removesuffix(file.suffix).removesuffix(".building")
         out = Path(f"{stem}{'' if level is None else f'-{level}'}.json".replace("/", "-"))
     overlay = overlay or out.with_name(f"{out.stem}-graph.png")
-    for target in (out, overlay):
-        output_file(target, force=force)
+    output_files((out, ()), (overlay, ()), force=force)
     building, doubts = import_map(
         file,
         out,
@@ -138,7 +138,7 @@ def show_command(
 
     out = out or building.with_name(f"{building.stem}-shown.png")
     output_file(out, ENDINGS, force=force, reads=[building, *([plan] if plan else [])])
-    drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside)
+    drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside, outputs=[out])
     draw_overlay(load_building(building), out, drawn_on)
     say(f"wrote {out}")
 
@@ -196,22 +196,19 @@ def edit_command(
         return
     if edits is None or out is None:
         raise click.UsageError("expected EDITS and -o OUT, or --browser")
-    from tasklift.files import output_file, write_atomically
+    from tasklift.files import output_files, write_atomically
     from tasklift.plans.edits import HEADER, apply_edits, as_places, read_edits
     from tasklift.plans.overlay import ENDINGS, draw_overlay
     from tasklift.plans.read import load_building
 
-    output_file(out, (".json",), force=force, reads=[building, edits])
-    for target, endings in ((overlay, ENDINGS), (places, ())):
-        if target is not None:
-            output_file(target, endings, force=force, reads=[building, edits])
+    output_files((out, (".json",)), (overlay, ENDINGS), (places, ()), force=force, reads=[building, edits])
     loaded, corrections = load_building(building), read_edits(edits)
     corrected, remarks = apply_edits(loaded, corrections)
-    corrected.save(out)
+    if overlay is not None:  # first, since it takes long: what is stopped leaves all files or none
+        draw_overlay(corrected, overlay)
     if places is not None:
         write_atomically(places, "\n".join([HEADER, *as_places(loaded, corrections)]) + "\n")
-    if overlay is not None:
-        draw_overlay(corrected, overlay)
+    corrected.save(out)
     say(repr(corrected))
     for remark in remarks:
         say(f"note: {remark}")
@@ -255,19 +252,19 @@ def export_command(
     Routes for robots: .geojson (Nav2 route server), .lif.json (Layout Interchange Format), .nav.yaml (open-rmf
     navigation graph). Else .graph (patrolling_sim), or .yaml (ROS map, with a .pgm).
     """
-    from tasklift.files import output_file
+    from tasklift.files import output_files
     from tasklift.plans.exporting import ENDINGS, export, outputs
     from tasklift.plans.importing import read_plan
     from tasklift.plans.read import load_building
 
     reads = [building, *([plan] if plan else [])]
-    output_file(out, ENDINGS, force=force, reads=reads)
-    for target in outputs(out):
-        output_file(target, force=force, reads=reads)
-    drawn_on = None if plan is None else read_plan(plan, level=level, allow_outside=allow_outside)
+    beside = ((target, ()) for target in outputs(out)[1:])
+    written = output_files((out, ENDINGS), *beside, force=force, reads=reads)
+    options: Any = {"level": level, "allow_outside": allow_outside, "outputs": written}
+    drawn_on = None if plan is None else read_plan(plan, **options)
     for remark in export(load_building(building), out, resolution, plan=drawn_on, radius_m=radius):
         say(f"note: {remark}")
-    say(f"wrote {' and '.join(map(str, outputs(out)))}")
+    say(f"wrote {' and '.join(map(str, written))}")
 
 
 @map_group.command("generate")

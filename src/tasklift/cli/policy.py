@@ -94,7 +94,7 @@ def policy_export(file: Path, out: Path, kind: str | None, force: bool) -> None:
     All of them make the same decisions as the policy, and none needs tasklift. A .py has act(inputs); a .h is C99;
     a .csv has one line per state and action, with weight and probability.
     """
-    from tasklift.files import output_file, output_folder, write_atomically
+    from tasklift.files import holds, output_file, output_folder, write_atomically
     from tasklift.tasks import exports
     from tasklift.tasks.policy import Policy
 
@@ -103,10 +103,12 @@ def policy_export(file: Path, out: Path, kind: str | None, force: bool) -> None:
     if kind == "ros2":
         files = exports.to_ros2(policy, out.resolve().name)
         output_folder(out, ("package.xml",))
+        files = {name: text for name, text in files.items() if not holds(out / name, text)}  # a stopped one goes on
         for name in files:
-            (out / name).parent.mkdir(exist_ok=True)
-            output_file(out / name, force=force, reads=[file])
+            if (out / name).parent.is_dir():
+                output_file(out / name, force=force, reads=[file])
         for name, text in files.items():
+            (out / name).parent.mkdir(exist_ok=True)
             write_atomically(out / name, text, replace=force)
     else:
         output_file(out, (exports.SUFFIXES[kind],), force=force, reads=[file])

@@ -54,12 +54,11 @@ def watch_command(
     that --json wrote. A building is simulated: with policy files, or with the arms of the paper, which learn on it
     first.
     """
-    from tasklift.files import canonical_json, output_file, write_atomically
+    from tasklift.files import canonical_json, output_files, write_atomically
     from tasklift.watch.html import page
 
-    for target, suffixes in ((json_file, (".json",)), (html, (".html", ".htm"))):
-        if target is not None:
-            output_file(target, suffixes, force=force, reads=[source, *options["policies"]])
+    reads = [source, *options["policies"]]
+    output_files((json_file, (".json",)), (html, (".html", ".htm")), force=force, reads=reads)
     document = _document(source, **options)
     if json_file is not None:
         write_atomically(json_file, canonical_json(document), replace=force)

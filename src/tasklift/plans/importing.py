@@ -8,7 +8,7 @@ from typing import Any
 
 from tasklift.building.graph import Building
 from tasklift.checks import number, one_of
-from tasklift.files import PathLike, output_file
+from tasklift.files import PathLike, output_files
 from tasklift.plans.edits import apply_edits, read_edits
 from tasklift.plans.extract.building import choose_start, extract
 from tasklift.plans.extract.space import DOOR_RULES, Settings
@@ -90,12 +90,13 @@ def import_map(
     settings = _settings(smallest_room_m2, door_rule, narrowest_m)
     options: dict[str, Any] = {"resolution_m": resolution_m, "allow_outside": allow_outside}
     source = Source(path, level=level, **options)
-    _check_outputs(out, overlay, [path])
+    outputs = (out, (".json",)), (overlay, PICTURES)
+    output_files(*outputs, force=True, reads=[path])
     say("reading the map")
     sources = [source] if levels is None else [Source(path, level=name, **options) for name in _levels(source, levels)]
     found = [read_map(one) for one in sources]
     files = [file for one in sources for file in one.files]
-    _check_outputs(out, overlay, [*files, *([edits] if edits is not None else [])])
+    output_files(*outputs, force=True, reads=[*files, *([edits] if edits is not None else [])])
     plan: Plan | None
     if levels is not None:
         if seed_point is not None:
@@ -109,11 +110,11 @@ def import_map(
         say("applying the edits")
         building, notes = apply_edits(building, read_edits(edits))
         doubts = doubts + notes
-    if out is not None:
-        building.save(out)
     if overlay is not None:
         say("drawing the overlay")
         draw_overlay(building, overlay, plan)
+    if out is not None:  # after the drawing, which takes long: what is stopped leaves both files or none
+        building.save(out)
     return building, doubts
 
 
@@ -167,25 +168,21 @@ def _joined(
     return joined, plan, [*doubts, *notes]
 
 
-def _check_outputs(out: PathLike | None, overlay: PathLike | None, reads: Sequence[PathLike]) -> None:
-    """Refuse names that do not fit their kind, and files that are read: these are never written."""
-    for target, endings in ((out, (".json",)), (overlay, PICTURES)):
-        if target is not None:
-            output_file(target, endings, force=True, reads=reads)
-
-
-def read_plan(path: PathLike, *, level: str | None = None, allow_outside: bool = False) -> Plan:
+def read_plan(
+    path: PathLike, *, level: str | None = None, allow_outside: bool = False, outputs: Sequence[PathLike] = ()
+) -> Plan:
     """Read a floor plan to draw on.
 
     Raises
     ------
     TaskliftError
-        If it cannot be read, or is a graph without a floor plan.
+        If it cannot be read, is a graph without a floor plan, or consists of files among the ``outputs``.
     """
     source = Source(path, level=level, allow_outside=allow_outside)
     found = read_map(source)
     if not isinstance(found, Plan):
         raise source.fault("has no floor plan; give the map (YAML) beside it")
+    output_files(*((target, ()) for target in outputs), force=True, reads=source.files)
     return found
 
 

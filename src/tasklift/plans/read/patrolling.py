@@ -14,6 +14,7 @@ import os
 import numpy as np
 
 from tasklift.building.graph import Building
+from tasklift.checks import number
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
 from tasklift.plans.places import MOST_PLACES, Places
@@ -118,8 +119,7 @@ def write_graph(building: Building, path: str | os.PathLike[str], resolution_m: 
     resolution_m
         Metres per pixel.
     """
-    if not isinstance(resolution_m, int | float) or not 0 < resolution_m < math.inf:
-        raise TaskliftError(f"{path}: expected a resolution above 0 m per pixel, found {resolution_m!r}")
+    number(resolution_m, f"{path}: resolution (m per pixel)", 0.0001, 100)
     most = int(building.degree.argmax())
     if building.degree[most] > MOST_NEIGHBOURS:
         raise TaskliftError(

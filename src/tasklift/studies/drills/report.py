@@ -12,7 +12,7 @@ import numpy as np
 
 from tasklift import stats, style
 from tasklift.errors import TaskliftError
-from tasklift.files import output_folder, read_text, write_atomically
+from tasklift.files import output_file, output_folder, read_text, write_atomically
 from tasklift.lab import FILE_NAME, Progress, Store, run
 from tasklift.lab.runs import Table
 from tasklift.report import pictures
@@ -52,6 +52,8 @@ if TYPE_CHECKING:
 #: A variant of drilling is admitted if it loses at most this share of what drills as they are lose.
 ADMITTED = 0.1
 BEGIN, END = "<!-- results of `tasklift drills` -->", "<!-- end of results -->"
+#: Where the results on a page find their figure.
+PICTURE = "pictures/drills.png"
 
 #: By slug and number of hostiles.
 Links = Mapping[tuple[str, int], Link | None]
@@ -270,7 +272,8 @@ def drills(
     maps, seeds, hostiles
         As in :func:`tasklift.studies.drills.study.study`.
     page
-        A Markdown page between whose two marks the results are put, with the figure in ``pictures`` beside it.
+        A Markdown page between whose two marks the results are put, with the figure in ``pictures`` beside it. A
+        picture of that name that is there is replaced if the results on the page show it, and else refused.
     command
         The line that runs this again, for the report.
     progress, engine
@@ -283,10 +286,12 @@ def drills(
     TaskliftError
         Before anything is trained or overwritten.
     """
-    if page is not None:
-        paste("", page, write=False)  # refuses before the work what cannot take the results
     since = time.monotonic()
-    plan, folder = study(maps=maps, seeds=seeds, hostiles=hostiles), output_folder(out, (FILE_NAME,))
+    plan = study(maps=maps, seeds=seeds, hostiles=hostiles)
+    if page is not None:  # refuses before the work what cannot take the results
+        ours = PICTURE in results_on(page)[1]
+        picture = output_file(output_folder(page.parent / "pictures") / Path(PICTURE).name, force=ours)
+    folder = output_folder(out, (FILE_NAME,))
     with Store.open(folder / FILE_NAME, plan.spec("drills")) as store:
         run(store, plan.cells(), plan.work, progress=progress, **engine)
         tables = _tables(store)
@@ -301,8 +306,9 @@ def drills(
         add_settings(written, store, command, since)
         written.write(folder / "report.html")
     if page is not None:
-        paste(text, page)
-        pictures.save(drawn, output_folder(page.parent / "pictures"), "drills")
+        before, _, after = results_on(page)
+        write_atomically(page, f"{before}{BEGIN}\n\n{text}\n{END}{after}")
+        write_atomically(picture, (folder / picture.name).read_bytes())
     return lines, folder / "report.html"
 
 
@@ -331,7 +337,7 @@ def _scale(plan: Study) -> str:
 
 def markdown(says: str, tables: Tables, plan: Study) -> str:
     """Return the results as Markdown: a sentence, the figure's place, every table in two."""
-    picture = "![Robots lost by number of hostiles, and learning curves](pictures/drills.png)"
+    picture = f"![Robots lost by number of hostiles, and learning curves]({PICTURE})"
     parts = [f"**{says}**", picture, _scale(plan)]
     for title, found in tables.items():
         if found:
@@ -341,8 +347,8 @@ def markdown(says: str, tables: Tables, plan: Study) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def paste(text: str, page: Path, *, write: bool = True) -> None:
-    """Put the results between the two marks of a Markdown page, in place of what is there.
+def results_on(page: Path) -> tuple[str, str, str]:
+    """Return what stands before, between and after the two marks of a Markdown page.
 
     Raises
     ------
@@ -351,11 +357,10 @@ def paste(text: str, page: Path, *, write: bool = True) -> None:
     """
     whole = read_text(page)
     before, begin, rest = whole.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    results, end, after = rest.partition(END)
     if not begin or not end:
         raise TaskliftError(f"{page}: expected the marks {BEGIN} and {END}, one after the other; add them")
-    if write:
-        write_atomically(page, f"{before}{BEGIN}\n\n{text}\n{END}{after}")
+    return before, results, after
 
 
 def _replays(plan: Study, found: Sequence[Contrast], folder: Path, play: Play | None) -> Links:

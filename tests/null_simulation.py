@@ -40,6 +40,8 @@ NULLS: dict[str, Draw] = {
     "lognormal": lambda rng, n: rng.lognormal(size=n) - np.exp(0.5),
     "zero-inflated": lambda rng, n: inflated(rng, n) - 0.3,
 }
+#: One arm always loses a little, the other one rarely and much; their means are the same.
+RARE: dict[str, Draw] = {"exponential, zero-inflated": lambda rng, n: 0.3 * rng.exponential(size=n) - inflated(rng, n)}
 #: Pairs of positive arms, and the ratio of their means.
 RATIOS: dict[str, tuple[Draw, Draw, float]] = {
     "lognormal / lognormal": (lambda rng, n: 4 * rng.lognormal(size=n), lambda rng, n: rng.lognormal(size=n), 4.0),
@@ -48,9 +50,13 @@ RATIOS: dict[str, tuple[Draw, Draw, float]] = {
     "Poisson / Poisson": (
         lambda rng, n: rng.poisson(20, size=n) * 1.0, lambda rng, n: rng.poisson(1, size=n) * 1.0, 20.0,
     ),
+    "Poisson / rare Poisson": (
+        lambda rng, n: rng.poisson(5, size=n) * 1.0, lambda rng, n: rng.poisson(0.5, size=n) * 1.0, 10.0,
+    ),
 }  # fmt: skip
 #: Seeds, and the maps that they are divided over: 4 × 5 is a reading of the multiverse, 6 × 5 the reproduction.
 DESIGNS = ((6, 1), (8, 1), (10, 1), (30, 1), (20, 4), (30, 6))
+RATIO_SEEDS = (10, 15, 30)
 #: Pairs of trials that a guard compares: a tenth of 100 to 3,000 trials.
 PAIRS = (10, 30, 100, 300)
 
@@ -82,17 +88,19 @@ def errors(draw: Draw, n: int, maps: int = 1, *, draws: int, resamples: int, shi
     return found / draws, missed / max(shown, 1)
 
 
-def ratio_errors(arms: tuple[Draw, Draw, float], n: int, *, draws: int, resamples: int) -> tuple[float, float]:
-    """Return how often a ratio's interval misses the truth, of those shown; and the share shown."""
+def ratio_errors(arms: tuple[Draw, Draw, float], n: int, *, shown: int, resamples: int) -> tuple[float, float]:
+    """Return how often a ratio's interval misses the truth, of ``shown`` ones; and the share of samples with one."""
     rng = np.random.default_rng(n)
     above, below, truth = arms
-    shown = missed = 0
-    for number in range(draws):
+    found = missed = draws = 0
+    while found < shown:
         a, b = above(rng, n), below(rng, n)
-        if min(np.count_nonzero(a), np.count_nonzero(b)) >= stats.seeds_needed():
-            shown += 1
-            missed += 2 * min(stats.PairedTest(a, b, None, number % 10, resamples).sides(truth)) <= stats.LEVEL
-    return missed / max(shown, 1), shown / draws
+        draws += 1
+        if stats.bounds_ratio(a, b):
+            test = stats.PairedTest(a, b, None, found % 10, resamples)
+            found += 1
+            missed += 2 * min(test.sides(truth)) <= stats.LEVEL
+    return missed / shown, shown / draws
 
 
 def median_errors(n: int, *, draws: int) -> float:
@@ -147,7 +155,7 @@ def main(draws: int, resamples: int = 999) -> None:
 
     found = {
         name: [errors(draw, n, maps, draws=draws, resamples=resamples) for n, maps in DESIGNS]
-        for name, draw in NULLS.items()
+        for name, draw in (NULLS | RARE).items()
     }
     _table("False verdicts (%)", ["values", *names], [[k, *(percent(v) for v, _ in row)] for k, row in found.items()])
     missed = [[name, *(percent(miss) for _, miss in row)] for name, row in found.items()]
@@ -162,9 +170,9 @@ def main(draws: int, resamples: int = 999) -> None:
     _table("Power (%): true differences in standard deviations, normal", ["difference", *names], power)
     rows = []
     for name, arms in RATIOS.items():
-        cells = [ratio_errors(arms, n, draws=draws // 2, resamples=resamples) for n in (6, 8, 10, 30)]
-        rows.append([name, *(percent(missed) for missed, _ in cells)])
-    _table("Ratios: intervals that miss (%)", ["values", "6", "8", "10", "30"], rows)
+        cells = [ratio_errors(arms, n, shown=draws // 2, resamples=resamples) for n in RATIO_SEEDS]
+        rows.append([name, *(f"{percent(missed)} ({percent(share)})" for missed, share in cells)])
+    _table("Ratios: intervals that miss (of the samples that have one, %)", ["values", *map(str, RATIO_SEEDS)], rows)
     medians = [[percent(median_errors(n, draws=draws * 4)) for n in (6, 8, 10, 30)]]
     _table("Median times: intervals that miss (%)", ["6", "8", "10", "30"], medians)
     bands = [

@@ -59,10 +59,9 @@ def test_five_seeds_or_fewer_get_no_verdict_and_no_interval(n):
 
 def test_ratios_medians_and_bands_miss_in_at_most_seven_percent():
     for arms in simulation.RATIOS.values():
-        for n in (8, 10, 30):
-            missed, shown = simulation.ratio_errors(arms, n, draws=300, resamples=399)
-            count = round(300 * shown)
-            assert missed * count <= scipy.stats.binom.isf(P, count, 0.07)
+        for n in (10, 30):
+            missed, _ = simulation.ratio_errors(arms, n, shown=150, resamples=399)
+            assert missed <= scipy.stats.binom.isf(P, 150, 0.07) / 150
     for n in (6, 10, 30):
         assert simulation.median_errors(n, draws=300) <= scipy.stats.binom.isf(P, 300, 0.06) / 300
     for name in ("normal", "exponential", "two zero-inflated"):
@@ -199,6 +198,19 @@ def test_the_seed_decides_and_matters():
         assert len({function(seed) for seed in range(8)}) > 1
 
 
+def test_six_seeds_have_126_resamples_and_the_sample_is_one_more():
+    """Four of six, drawn with replacement, in any order: C(9, 4). Their shares by enumeration."""
+    values = np.array([5.0, 5.1, 5.2, 5.3, 5.4, 5.6])
+    drawn = np.array(list(itertools.product(values - values.mean(), repeat=4)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = drawn.mean(axis=1) / (drawn.std(axis=1, ddof=1) / 2)
+    test = stats.PairedTest(values, np.ones(6), None, 0, 200_000)
+    for theta in (4.8, 5.0, 5.2):
+        share = (t >= (values.mean() - theta) / scipy.stats.sem(values)).mean()
+        expected = max(signs_p(values - theta) / 2, (1 + 126 * share) / 127)
+        assert test.sides(theta)[1] == pytest.approx(expected, rel=0.05)
+
+
 def test_seeds_that_all_agree_have_no_interval_and_need_to_be_many():
     """Without a spread nothing says how rare exceptions are."""
     for n, verdict in ((6, "undecided"), (12, "undecided"), (18, "holds"), (50, "holds")):
@@ -233,6 +245,14 @@ def test_a_ratio_with_fiellers_theorem():
     root = math.sqrt(f[0] ** 2 - f[1] * f[2])
     found = stats.ratio(a, b).interval
     assert (found.low, found.high) == pytest.approx(((f[0] - root) / f[2], (f[0] + root) / f[2]), abs=0.01)
+
+
+def test_a_ratio_of_nine_seeds_has_a_verdict_but_no_interval():
+    direct, safe = np.array([41, 30, 35, 44, 37, 39, 32, 36, 31, 40.0]), np.arange(1.0, 11)
+    for n, shown in ((9, False), (10, True)):
+        found = stats.ratio(direct[:n], safe[:n], better="greater")
+        assert (found.verdict, math.isfinite(found.interval.low)) == ("holds", shown)
+    assert not math.isfinite(stats.ratio(direct, safe * (safe > 5), better="greater").interval.low)
 
 
 def test_what_was_never_lost_gives_no_ratio_but_a_verdict():

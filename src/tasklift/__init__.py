@@ -8,7 +8,6 @@ checkers read the same names in ``__init__.pyi``.
 from __future__ import annotations
 
 from importlib import import_module as _import_module
-from typing import Any as _Any
 
 __version__ = "0.1.0"
 
@@ -42,7 +41,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = ["__version__", *sorted(_HOME_OF)]
 
 
-def __getattr__(name: str) -> _Any:
+def __getattr__(name: str) -> object:
     # names are found on first use, so that `import tasklift` and `tasklift --help` load nothing they do not
     # need
     if name in _HOME_OF:

@@ -47,6 +47,9 @@ _ELSEWHERE = {
 }
 
 
+STOPPED = "stopped; the same command goes on from there"
+
+
 class _Commands(click.Group):
     """A group that imports a command of another wing only when it is asked for."""
 
@@ -79,11 +82,11 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; the user's mistakes end in one line and exit code 2, Ctrl-C in 130."""
-    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # Ctrl-C while Python ends has nothing to stop
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show a character gets its number
-            stream.reconfigure(errors="backslashreplace")
     try:
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # Ctrl-C while Python ends has nothing to stop
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show a character gets its number
+                stream.reconfigure(errors="backslashreplace")
         cli.main(standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be written is found here, not while Python ends
@@ -97,7 +100,11 @@ def main() -> None:
         _end(error.format_message(), 2)
     except (KeyboardInterrupt, click.Abort) as stop:
         # click turns the interrupt into Abort; its cause may say how to resume
-        _end(str(stop.__cause__ or stop) or "stopped; the same command goes on from there", 130)
+        _end(str(stop.__cause__ or stop) or STOPPED, 130)
+    except RuntimeError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # up to 3.11, Python says so of one in a class body
+            raise
+        _end(STOPPED, 130)
     except MemoryError:
         _end("the memory is full; ask for less at once, such as fewer seeds or episodes", 2)
     except OSError as error:  # of files that commands write or read, it has become a TaskliftError

@@ -76,6 +76,13 @@ def test_a_place_that_cannot_be_is_named(path: str, tmp_path: Path) -> None:
         files.write_atomically(tmp_path / path, "")
 
 
+def test_two_outputs_of_one_name_are_refused(tmp_path: Path) -> None:
+    one, two = tmp_path / "one.json", tmp_path / "two.png"
+    assert files.output_files((one, (".json",)), (None, ()), (two, (".png",))) == [one, two]
+    with pytest.raises(TaskliftError, match="is named for two outputs"):
+        files.output_files((one, ()), (two, ()), (tmp_path / "." / "one.json", ()), force=True)
+
+
 def test_outputs_are_refused_before_anything_is_lost(tmp_path: Path) -> None:
     source, there = tmp_path / "policy.json", tmp_path / "there.csv"
     source.write_text("read")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -327,6 +328,29 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_resumes(tmp_path):
     assert process.returncode == 130
     assert "the same command goes on from there" in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("module", "lost"), [("click", False), ("tasklift.plans.read", False), ("tasklift.plans.read", True)]
+)
+def test_ctrl_c_during_an_import_ends_in_one_line(module, lost):
+    """While the command line is imported, while a command imports what it needs, and where Python loses exceptions."""
+    meddler = f"""
+import signal, sys
+class Lost:
+    def __del__(self): signal.raise_signal(signal.SIGINT)
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            {"Lost()" if lost else "signal.raise_signal(signal.SIGINT)"}
+sys.meta_path.insert(0, Finder())
+sys.argv = ["tasklift", "map", "formats"]
+from tasklift.__main__ import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", meddler], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert re.fullmatch(r"\n?tasklift: stopped[^\n]*\n", done.stderr)
 
 
 def test_options_come_from_a_file_and_the_command_line_goes_before_it(tasklift, building):

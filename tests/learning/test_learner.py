@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
@@ -40,6 +40,16 @@ def test_a_run_cut_anywhere_is_the_same_run(trials: int | None, steps: int | Non
         parts, policy = [*parts, rest.outcomes], rest.policy
     assert np.array_equal(joined(parts).steps, whole.outcomes.steps)
     assert np.array_equal(policy.weights, whole.policy.weights)
+
+
+def test_an_empty_part_takes_no_column_from_the_others() -> None:
+    @dataclass(frozen=True)
+    class Measured(tl.Outcomes):
+        robots: np.ndarray
+
+    part = Measured(np.array([3]), np.array([True]), np.array([1]), 9, np.array([2]))
+    assert joined([part, joined([]), part]).to_pandas()["robots"].tolist() == [2, 2]
+    assert len(joined([joined([]), joined([])])) == 0
 
 
 @pytest.mark.parametrize(

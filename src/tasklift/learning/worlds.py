@@ -184,6 +184,7 @@ def outcomes_of(records: Sequence[Record], limit: int) -> StepOutcomes:
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:
     """Return the outcomes of consecutive parts as one; all of one kind."""
+    parts = [part for part in parts if len(part)] or parts[:1]  # an empty part may lack the columns of the others
     if len(parts) == 1:
         return parts[0]
     if not parts:

@@ -182,11 +182,8 @@ def fuzz(name: str, reader: Reader, folder: Path, runs: range) -> Figures:
             try:
                 found = reader.read(path)
             except TaskliftError as error:
-                line = str(error)
+                line = _one_line(error)
                 assert path.stem in line, f"does not name {path.name}: {line}"
-                assert len(line) <= LONGEST_LINE, f"{len(line)} characters: {line}"
-                assert "\n" not in line, f"more than one line: {line!r}"
-                assert line.isprintable() or all(c.isprintable() or c in "\u2009\u00a0" for c in line), repr(line)
                 figures.refused += 1
                 figures.longest = max(figures.longest, len(line))
             else:
@@ -205,6 +202,14 @@ def fuzz(name: str, reader: Reader, folder: Path, runs: range) -> Figures:
             ) from error
         path.write_bytes(samples[chosen])
     return figures
+
+
+def _one_line(error: TaskliftError) -> str:
+    line = str(error)
+    assert len(line) <= LONGEST_LINE, f"{len(line)} characters: {line}"
+    assert "\n" not in line, f"more than one line: {line!r}"
+    assert line.isprintable() or all(c.isprintable() or c in "\u2009\u00a0" for c in line), repr(line)
+    return line
 
 
 # -- what is fuzzed ----------------------------------------------------------------------------------------
@@ -329,6 +334,102 @@ def _use_spec(curriculum: Any, path: Path) -> None:
             curriculum.run(0)
 
 
+def _simplify_specs() -> dict[str, bytes]:
+    lake = (Path(__file__).parent.parent / "examples" / "simplify-lake.toml").read_bytes()
+    spec = {
+        "name": "j",
+        "environment": {"gymnasium": "FrozenLake-v1", "loss": {"terminated": True, "reward": 0}},
+        "task": {"inputs": {"row": 4, "col": 4}, "outputs": {"move": ["left", "down", "right", "up"]}},
+        "learner": {"rule": "q-learning"},
+        "stages": [{"name": "T", "trials": 2}],
+        "simplify": {
+            "trials": 2, "depth": 2, "seeds": 6, "criterion": "steps", "never": [["row", "col"]],
+            "switches": [{"name": "firm", "options": {"is_slippery": False}, "fix": {"row": 0}, "harmless": True}],
+            "priors": [{"name": "none", "operations": [{"operation": "forget", "output": "move"}]}], "trust": [2],
+            "curricula": [{"name": "mine", "stages": [{"name": "V", "trials": 2}]}], "stages": 2, "threshold": 0.5,
+            "most": {"losses": 9},
+        },
+    }  # fmt: skip
+    return {"lake.toml": lake, "spec.json": json.dumps(spec).encode()}
+
+
+def _read_simplify(path: Path) -> Any:
+    from tasklift.studies.simplify.search import study_of
+
+    return study_of(path)
+
+
+def _use_simplify(study: Any, path: Path) -> None:
+    assert study.price() > 0
+    if len(path.read_bytes()) % 8 == 0:  # a world of Gymnasium's takes as long as ten readings
+        try:
+            study.curriculum(study.found[-1])
+        except TaskliftError as error:
+            _one_line(error)
+
+
+def _weights() -> dict[str, bytes]:
+    import numpy as np
+
+    from tasklift.tasks import policy
+    from tasklift.tasks.task import Task, Variable
+
+    task = Task("t", (Variable("row", range(9)), Variable("col", range(9))), (Variable("move", range(4)),))
+    table = np.random.default_rng(1).random(task.shape)
+    before, policy.LARGEST_JSON = policy.LARGEST_JSON, 10
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            policy.Policy(task, table, {}, "value", {"visits": table}).save(Path(folder) / "p.json")
+            return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+    finally:
+        policy.LARGEST_JSON = before
+
+
+def _read_weights(path: Path) -> Any:
+    """Read a policy whose weights lie in a file of arrays, with the checksum that fits them."""
+    from tasklift.tasks.policy import Policy
+
+    document = next(path.parent.glob("*.json"))
+    if path.suffix == ".npz":
+        found = json.loads(_weights()[document.name])
+        del found["checksum"]
+        found["arrays"]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        document.write_text(json.dumps(found))
+    return Policy.load(document)
+
+
+def _use_weights(policy: Any, path: Path) -> None:
+    assert policy.to_csv()
+    assert policy.probabilities(0, "exploitation").shape == (4,)
+
+
+def _edits() -> dict[str, bytes]:
+    from tasklift.plans import edits
+
+    lines = [line.strip() for line in (edits.__doc__ or "").split("\n") if line.startswith("    ")]
+    numbered = ["drop node 3", "add node at 5 3 to 3 0  # a remark", "set class at 3 0 to corner", "start at 10 0.5"]
+    return {"all.edits": "\n".join(lines).encode(), "few.edits": "\n".join([edits.HEADER, *numbered]).encode()}
+
+
+def _read_edits(path: Path) -> Any:
+    from tasklift.plans.edits import read_edits
+
+    return read_edits(path)
+
+
+def _use_edits(found: Any, path: Path) -> None:
+    from tasklift.building import Building
+    from tasklift.plans.check import check
+    from tasklift.plans.edits import apply_edits, as_places
+
+    building = Building.from_json(json.loads(_buildings()["small.json"]))
+    try:
+        assert len(as_places(building, found)) == len(found)
+        assert check(apply_edits(building, found)[0]).lines()
+    except TaskliftError as error:
+        _one_line(error)
+
+
 def _replays() -> dict[str, bytes]:
     from tasklift.building import Mission, generate
     from tasklift.files import canonical_json
@@ -402,9 +503,7 @@ def _use_map(found: Any, path: Path) -> None:
         elif isinstance(found, Plan) and number % 8 == 0:  # extraction takes as long as fifty readings
             found = extract(found)[0]
     except TaskliftError as error:
-        line = str(error)
-        assert "\n" not in line, line
-        assert len(line) <= LONGEST_LINE, line
+        _one_line(error)
         return
     if isinstance(found, Building):
         assert check(found).lines()
@@ -564,6 +663,9 @@ READERS = {
     "policy": Reader(_policies, _read_policy, _use_policy, _without_checksum),
     "building": Reader(_buildings, _read_building, _use_building),
     "spec": Reader(_specs, _read_spec, _use_spec),
+    "simplify": Reader(_simplify_specs, _read_simplify, _use_simplify),
+    "weights": Reader(_weights, _read_weights, _use_weights),
+    "edits": Reader(_edits, _read_edits, _use_edits),
     "replay": Reader(_replays, _read_replay, _use_replay),
     "store": Reader(_stores, _read_store, _use_store, mutate=_damaged_store),
     "resume": Reader(_stores, _resume_store, _use_resumed, mutate=_damaged_store),

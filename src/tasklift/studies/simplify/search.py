@@ -28,6 +28,7 @@ from tasklift.learning.worlds import StepOutcomes
 from tasklift.studies.own_code import OwnCode
 from tasklift.studies.simplify.space import Candidate, chains, joined, steps
 from tasklift.studies.spec_file import about, code_beside, curriculum_of, read_spec
+from tasklift.text import shown
 
 SCRATCH = "from scratch"
 #: Seeds of the race: rung after rung the better half of the candidates goes on to more of them.
@@ -49,6 +50,8 @@ MARGIN, PROBE_MARGIN = 0.05, 0.2
 LATE = 20
 #: The share of successes to reach, unless the spec says otherwise.
 THRESHOLD = 0.8
+#: The most episodes of a stage.
+MOST_TRIALS = 10_000_000
 #: What can be compared; less is better for all of them.
 CRITERIA = ("losses", "losses-after-arrival", "steps", "steps-to-threshold", "area")
 
@@ -166,8 +169,10 @@ class SimplifyStudy:
 
     def __post_init__(self) -> None:
         _check(self.settings)
-        if len(self.document["stages"]) != 1 or "trials" not in self.document["stages"][0]:
+        stages = self.document["stages"]
+        if len(stages) != 1 or not isinstance(stages[0], Mapping) or "trials" not in stages[0]:
             raise TaskliftError("simplify: expected one [[stages]] with trials, the target task")
+        whole_number(stages[0]["trials"], "stages 1, trials", 1, MOST_TRIALS)
         target = self.curriculum(None).stages[-1]
         made = [Candidate(own=own) for own in self.settings.get("curricula", ())]
         made += steps(target.task, self.settings, target.world)
@@ -451,15 +456,18 @@ def _check(settings: Mapping[str, Any]) -> None:
             "seeds?": int,
         },
     )
-    whole_number(settings["trials"], f"{where}, trials", 1)
+    whole_number(settings["trials"], f"{where}, trials", 1, MOST_TRIALS)
     whole_number(settings.get("depth", 1), f"{where}, depth", 0, 3)
     whole_number(settings.get("stages", 1), f"{where}, stages", 1, 2)
-    whole_number(settings.get("seeds", FINAL), f"{where}, seeds", stats.seeds_needed())
+    whole_number(settings.get("seeds", FINAL), f"{where}, seeds", stats.seeds_needed(), 100_000)
     number(settings.get("threshold", THRESHOLD), f"{where}, threshold", 0, 1)
     one_of(settings.get("criterion", "losses"), tuple(CRITERIA), f"{where}, criterion")
     check_fields(settings.get("most", {}), f"{where}, most", {"losses?": (int, float), "steps?": (int, float)})
     for trust in settings.get("trust", ()):
         number(trust, f"{where}, trust", 0, above=True)
+    for k, names in enumerate(settings.get("never", ())):
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise TaskliftError(f"{where}, never {k + 1}: expected a list of inputs, found {shown(names)}")
     lists: dict[str, dict[str, Any]] = {
         "switches": {"name": str, "options?": dict, "fix?": dict, "harmless?": bool, "learner?": dict,
                      "signals?": list, "time_reward?": (int, float)},
@@ -469,3 +477,6 @@ def _check(settings: Mapping[str, Any]) -> None:
     for name, fields in lists.items():
         for k, entry in enumerate(settings.get(name, ())):
             check_fields(entry, f"{where}, {name} {k + 1}", fields)
+            for stage in entry.get("stages", ()):
+                if not isinstance(stage, Mapping):
+                    raise TaskliftError(f"{where}, {name} {k + 1}: expected tables as stages, found {shown(stage)}")

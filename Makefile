@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 ARGS   ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo chromium test test-slow fuzz bench instructions docs test-docs test-torch wheels format clean
+.PHONY: help demo chromium test test-slow fuzz kills bench instructions docs test-docs test-torch wheels format clean
 
 help:  ## say what each target does
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -47,6 +47,9 @@ fuzz: $(STAMP)  ## give every reader 100,000 damaged files (ARGS="policy --runs 
 
 wheels: $(STAMP)  ## build the wheel; try it in empty environments (ARGS="--extras torch,ray,all")
 	$(BIN)/python tests/wheels.py $(ARGS)
+
+kills: $(STAMP)  ## stop commands at random moments, and let them finish (ARGS="train --rounds 50")
+	$(BIN)/python tests/kills.py $(ARGS)
 
 bench: $(STAMP)  ## measure speed; prints ratios within one run
 	for file in $(filter-out %/instructions.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python $$file $(ARGS) || exit 1; done

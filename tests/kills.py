@@ -140,7 +140,7 @@ def stop(words: list[str], folder: Path, number: int, after_s: float) -> bool:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return what every file holds: a store's rows, and other files but for the times in them, as a digest."""
+    """Return what every file holds, as a digest: a store's rows, a report without its date and duration."""
     from tasklift.lab import FILE_NAME, Store
 
     found = {}
@@ -150,7 +150,7 @@ def contents(folder: Path) -> dict[str, str]:
             with Store.read(path) as store:
                 found[name] = store.digest()
         elif path.is_file():
-            timeless = re.sub(rb"[0-9.,]+ (s|min|minutes|seconds|hours)\b", b"", path.read_bytes())
+            timeless = re.sub(rb"Written [0-9: -]+ UTC|This command took [0-9 mins]+\.", b"", path.read_bytes())
             found[name] = hashlib.sha256(timeless).hexdigest()
     return found
 

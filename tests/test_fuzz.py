@@ -1,6 +1,7 @@
 """Damaged, hostile or absurd files end in one clear line.
 
-2,000 mutated inputs a reader, 500 a format of maps, 200 stores; `make fuzz` gives 100,000.
+2,000 mutated inputs a reader, 500 a format of maps and of edits, 200 stores and specs of simplify; `make fuzz` gives
+100,000.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ import fuzz
 
 @pytest.mark.parametrize("name", fuzz.READERS)
 def test_mutated_files_are_read_and_used_or_refused_in_one_line(name: str) -> None:
-    runs = 500 if name.startswith("map-") else 2000  # a dozen formats: more would take minutes
-    if name in ("store", "resume"):
-        runs = 200  # each is read in ten ways
+    runs = 500 if name.startswith("map-") or name == "edits" else 2000  # a dozen formats: more would take minutes
+    if name in ("store", "resume", "simplify"):
+        runs = 200  # each is read in ten ways, or takes a world of Gymnasium's
     with tempfile.TemporaryDirectory(dir=fuzz.MEMORY) as folder:
         figures = fuzz.fuzz(name, fuzz.READERS[name], Path(folder), range(runs))
     print(f"{name}: {figures}")

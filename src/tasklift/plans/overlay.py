@@ -158,10 +158,8 @@ def _draw_graph(axes: Any, building: Building, scale: float) -> None:
     ring["markeredgecolor"] = SCENE["safe"][0]
     axes.plot(*position[building.start], **ring, markersize=size * 2.4, markeredgewidth=2, zorder=4)
     handles.append(Line2D([], [], **ring, markersize=10, markeredgewidth=2, label="start"))
-    beside = size / 72 / scale  # as far as the sign is large (m); annotations with offsets would take twice the time
-    for node, (x, y) in enumerate(position.tolist()):
-        where = x + 0.55 * beside, y + 0.45 * beside
-        axes.text(*where, str(node), fontsize=size * 0.95, color=GROUND["ink"][0], zorder=5, clip_on=True)
+    beside = size / 72 / scale  # as far as the sign is large (m)
+    _draw_numbers(axes, np.add(position, [0.55 * beside, 0.45 * beside]), size * 0.95)
     axes.legend(
         handles=handles,
         loc="upper center",
@@ -172,3 +170,24 @@ def _draw_graph(axes: Any, building: Building, scale: float) -> None:
         handletextpad=0.3,
         columnspacing=1.2,
     )
+
+
+def _draw_numbers(axes: Any, position: NDArray[np.float64], size: float) -> None:
+    """Write the number of each node at its place (m), all as one artist: single texts take three times as long."""
+    from matplotlib.artist import Artist
+    from matplotlib.font_manager import FontProperties
+
+    class Numbers(Artist):
+        def draw(self, renderer: Any) -> None:
+            context = renderer.new_gc()
+            context.set_foreground(GROUND["ink"][0])
+            context.set_clip_rectangle(axes.bbox)
+            height = axes.figure.bbox.height
+            for node, (x, y) in enumerate(axes.transData.transform(position).tolist()):
+                renderer.draw_text(context, x, height - y if renderer.flipy() else y, str(node), font, 0)
+            context.restore()
+
+    font = FontProperties(size=size)
+    numbers = Numbers()
+    numbers.set_zorder(5)
+    axes.add_artist(numbers)

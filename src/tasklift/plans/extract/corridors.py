@@ -158,8 +158,10 @@ def _centre(
 
     cells = np.argwhere(mask)
     roomy = mask & (half >= 0.5 * half[mask].max())
-    beside = roomy & ~ndimage.binary_dilation(filled, iterations=max(1, round(BESIDE_M / cell_m)))
-    roomy = np.argwhere(beside if beside.any() else roomy)
+    if filled.any():
+        beside = roomy & ~ndimage.binary_dilation(filled, iterations=max(1, round(BESIDE_M / cell_m)))
+        roomy = beside if beside.any() else roomy
+    roomy = np.argwhere(roomy)
     middle = cells.mean(axis=0)
     row, column = roomy[np.argmin(((roomy - middle) ** 2).sum(axis=1))].tolist()
     return row, column

@@ -21,10 +21,11 @@ LEAST_SHARE = 0.3
 LEAST_M = 0.35
 SOFT, STIFF = 0.01, 0.1
 ROUNDS = 200
-# A way is pulled straight a few times: first between points so far apart (m), then between points that lie the closer
-# to each other the nearer they are to a corner, from the nearest (m) on by this ratio. This many ahead are looked at.
+# A way is pulled straight a few times, until it gets shorter by less than this part: first between points so far apart
+# (m), then between points that lie the closer to each other the nearer they are to a corner, from the nearest (m) on by
+# this ratio. This many ahead are looked at.
 # Sight is sampled this often (m): what is closed to a robot's middle is wider. A way ends up longer by this factor.
-PASSES = 5
+PASSES, SHORTER = 5, 1e-3
 STEP_M = 0.3
 NEAREST_M, RATIO = 0.05, 1.6
 WINDOW = 24
@@ -44,8 +45,8 @@ def courses(graph: PathGraph, space: Space) -> dict[int, Course]:
     """The course of every edge of ``graph``.
 
     A node is a place as wide as the floor there. Ways over it cut its corner, and are shorter than the sum of
-    the lines to its middle. Lengths are fitted to the shortest ways between rooms. None is longer than its own
-    line, and none is shorter by more than half the widths of the places at its ends.
+    the lines to its middle, or leads by its far side. Lengths are fitted to the shortest ways between rooms. None is
+    longer or shorter than its own line by more than half the widths of the places at its ends.
     """
     lines = {edge: taut(line, space.free) for edge, (_, _, line) in graph.edges.items()}
     numbers = sorted(lines)
@@ -53,10 +54,10 @@ def courses(graph: PathGraph, space: Space) -> dict[int, Course]:
     own = np.array([max(line_length(lines[edge]), 1.0) for edge in numbers])
     ways, lengths = _ways(graph, space, lines, row, own)
     if len(ways):
-        least = np.maximum(own * LEAST_SHARE, own - [_room_to_cut(graph, space, edge) for edge in numbers])
-        least = np.maximum(least, LEAST_M / space.cell_m)
+        reach = np.array([_reach(graph, space, edge) for edge in numbers])
+        least = np.maximum(np.maximum(own * LEAST_SHARE, own - reach), LEAST_M / space.cell_m)
         stiff = np.array([STIFF if _is_axis(graph, edge) else SOFT for edge in numbers]) / np.mean(own)
-        fitted = _fit(ways, lengths / LEFT_OVER, own, np.minimum(least, own), stiff)
+        fitted = _fit(ways, lengths / LEFT_OVER, own, (np.minimum(least, own), own + reach), stiff)
     else:
         fitted = own
     return {edge: Course(lines[edge], float(fitted[row[edge]])) for edge in numbers}
@@ -67,7 +68,7 @@ def _is_axis(graph: PathGraph, edge: int) -> bool:
     return not any(graph.nodes[end].role in ("door", "room") for end in graph.edges[edge][:2])
 
 
-def _room_to_cut(graph: PathGraph, space: Space, edge: int) -> float:
+def _reach(graph: PathGraph, space: Space, edge: int) -> float:
     """How far (cells) the places at both ends of an edge reach."""
     reach = 0.0
     for end in graph.edges[edge][:2]:
@@ -120,13 +121,17 @@ def _ways(
 
 def pulled_length(line: Points, free: NDArray[np.bool_], cell_m: float) -> float:
     """How long a line is once it is pulled straight around what is not free, corners cut where one sees across."""
+    length = line_length(line)
     for number in range(PASSES):
         points = _even(line, STEP_M / cell_m) if number == 0 else _near_corners(line, NEAREST_M / cell_m)
         kept = [0]
         while kept[-1] < len(points) - 1:
             kept.append(kept[-1] + _farthest_seen(points[kept[-1] :], free, max(1.0, SIGHT_M / cell_m)))
         line = points[kept][::-1]  # and again from the other end
-    return line_length(line)
+        before, length = length, line_length(line)
+        if number and length > (1 - SHORTER) * before:
+            break
+    return length
 
 
 def _even(line: Points, step: float) -> Points:
@@ -153,18 +158,16 @@ def _near_corners(line: Points, nearest: float) -> Points:
 def _farthest_seen(points: Points, free: NDArray[np.bool_], step: float) -> int:
     """Index of the last of ``points`` that one sees from the first; at least 1."""
     seen = 1
-    first = 2
-    while first < len(points):
+    for first in range(2, len(points), WINDOW):
         ahead = points[first : first + WINDOW]
         steps = int(np.abs(ahead - points[0]).max() / step) + 1
-        t = np.linspace(0, 1, steps + 1)[:, None]
+        t = (np.arange(steps + 1) / steps)[:, None]
         rows = np.rint(points[0, 0] + t * (ahead[:, 0] - points[0, 0])).astype(np.int32)
         columns = np.rint(points[0, 1] + t * (ahead[:, 1] - points[0, 1])).astype(np.int32)
         clear = np.flatnonzero(free[rows, columns].all(axis=0))
         if not len(clear):
             break
         seen = first + int(clear[-1])
-        first += WINDOW
     return seen
 
 
@@ -172,7 +175,7 @@ def _fit(
     ways: list[NDArray[np.int64]],
     lengths: NDArray[np.float64],
     own: NDArray[np.float64],
-    least: NDArray[np.float64],
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
     weight: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Lengths of edges, within bounds, whose sums along the ways are nearest to their lengths, in proportion."""
@@ -191,7 +194,7 @@ def _fit(
     found = ahead = own
     momentum = 1.0
     for _ in range(ROUNDS):
-        fresh = np.clip(ahead - matrix.T @ (matrix @ ahead - target) / (1.05 * norm), least, own)
+        fresh = np.clip(ahead - matrix.T @ (matrix @ ahead - target) / (1.05 * norm), *bounds)
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         ahead = fresh + (momentum - 1) / following * (fresh - found)
         found, momentum = fresh, following

@@ -106,5 +106,7 @@ def _wall_by(half: NDArray[np.float32], cell: NDArray[np.int64]) -> NDArray[np.i
 
 def _direction(offsets: Points, towards: Points) -> Points:
     """The direction in which points with these offsets from their mean extend, ``towards`` rather than back."""
-    direction = np.linalg.svd(offsets, full_matrices=False)[2][0]
+    (rows, both), (_, columns) = (offsets.T @ offsets).tolist()
+    angle = math.atan2(2 * both, rows - columns) / 2  # of the larger principal axis
+    direction = np.array([math.cos(angle), math.sin(angle)])
     return direction if direction @ towards >= 0 else -direction

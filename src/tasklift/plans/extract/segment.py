@@ -6,7 +6,8 @@ are rooms, the others corridors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,8 +281,9 @@ def _tidy(
     them, and what is known of each.
     """
     throats: dict[tuple[int, int], tuple[int, int]] = {}
+    unchanged: list[Opening] = []
     while True:
-        openings = _openings(space, region, throats)
+        openings = _openings(space, region, throats, unchanged)
         measure = measure_regions(space, region, openings)
         root = np.arange(len(measure.area_m2), dtype=np.int32)
         mouths: dict[tuple[int, int], int] = {}
@@ -309,13 +311,25 @@ def _tidy(
                 touched |= {a, b}
         if not touched:
             return region, openings, measure
-        region = np.unique(root, return_inverse=True)[1].astype(np.int32)[region]
+        number = np.unique(root, return_inverse=True)[1].astype(np.int32)
+        region = number[region]
+        unchanged = []
+        for opening in openings:
+            if not touched & {*opening.regions}:
+                a, b = sorted(number[list(opening.regions)].tolist())
+                unchanged.append(replace(opening, regions=(a, b)))
 
 
 def _openings(
-    space: Space, region: NDArray[np.int32], throats: dict[tuple[int, int], tuple[int, int]]
+    space: Space,
+    region: NDArray[np.int32],
+    throats: dict[tuple[int, int], tuple[int, int]],
+    unchanged: Sequence[Opening] = (),
 ) -> list[Opening]:
-    """One opening for every connected stretch of border between two regions; ``throats`` are those found before."""
+    """One opening for every connected stretch of border between two regions.
+
+    ``throats`` are those found before, ``unchanged`` the openings of pairs of regions that are as they were.
+    """
     from scipy import ndimage
 
     width = region.shape[1]
@@ -335,8 +349,14 @@ def _openings(
         (int(k // n), int(k % n)): np.concatenate([here[rows], there[rows]])
         for k, rows in zip(pairs, np.split(order, first[1:]), strict=True)
     }
+    known: dict[tuple[int, int], list[Opening]] = {}
+    for opening in unchanged:
+        known.setdefault(opening.regions, []).append(opening)
     found = []
     for pair, pixels in sorted(border.items()):
+        if pair in known:
+            found += known[pair]
+            continue
         rows, columns = np.divmod(np.unique(pixels), width)
         patch = np.zeros((np.ptp(rows) + 1, np.ptp(columns) + 1), bool)
         patch[rows - rows.min(), columns - columns.min()] = True
@@ -349,8 +369,7 @@ def _openings(
                 throats[at] = _throat(space, at)
             pixel = throats[at]
             # half a cell less on either side: the wall begins at the edge of its first cell
-            opening = 2 * float(space.half_width_m[pixel]) - space.cell_m
-            found.append(Opening(pixel, pair, opening, False))
+            found.append(Opening(pixel, pair, 2 * float(space.half_width_m[pixel]) - space.cell_m, False))
             found[-1].is_door = _is_door(space, region, found[-1], False)
     return found
 

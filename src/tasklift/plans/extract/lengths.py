@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.plans.extract.axes import WIDEST_HALF_M
 from tasklift.plans.extract.bends import taut
 from tasklift.plans.extract.paths import PathGraph, Points, line_length
 from tasklift.plans.extract.space import ROUNDING, Space
@@ -45,8 +46,9 @@ def courses(graph: PathGraph, space: Space) -> dict[int, Course]:
     """The course of every edge of ``graph``.
 
     A node is a place as wide as the floor there. Ways over it cut its corner, and are shorter than the sum of
-    the lines to its middle, or leads by its far side. Lengths are fitted to the shortest ways between rooms. None is
-    longer or shorter than its own line by more than half the widths of the places at its ends.
+    the lines to its middle; in a hall they lead by its far side, too. Lengths are fitted to the shortest ways between
+    rooms. None is shorter than its own line by more than half the widths of the places at its ends, or longer by more
+    than these are wider than corridors.
     """
     lines = {edge: taut(line, space.free) for edge, (_, _, line) in graph.edges.items()}
     numbers = sorted(lines)
@@ -54,10 +56,11 @@ def courses(graph: PathGraph, space: Space) -> dict[int, Course]:
     own = np.array([max(line_length(lines[edge]), 1.0) for edge in numbers])
     ways, lengths = _ways(graph, space, lines, row, own)
     if len(ways):
-        reach = np.array([_reach(graph, space, edge) for edge in numbers])
-        least = np.maximum(np.maximum(own * LEAST_SHARE, own - reach), LEAST_M / space.cell_m)
+        cut = np.array([_reach(graph, space, edge) for edge in numbers])
+        around = np.array([_reach(graph, space, edge, WIDEST_HALF_M) for edge in numbers])
+        least = np.maximum(np.maximum(own * LEAST_SHARE, own - cut), LEAST_M / space.cell_m)
         stiff = np.array([STIFF if _is_axis(graph, edge) else SOFT for edge in numbers]) / np.mean(own)
-        fitted = _fit(ways, lengths / LEFT_OVER, own, (np.minimum(least, own), own + reach), stiff)
+        fitted = _fit(ways, lengths / LEFT_OVER, own, (np.minimum(least, own), own + around), stiff)
     else:
         fitted = own
     return {edge: Course(lines[edge], float(fitted[row[edge]])) for edge in numbers}
@@ -68,13 +71,14 @@ def _is_axis(graph: PathGraph, edge: int) -> bool:
     return not any(graph.nodes[end].role in ("door", "room") for end in graph.edges[edge][:2])
 
 
-def _reach(graph: PathGraph, space: Space, edge: int) -> float:
-    """How far (cells) the places at both ends of an edge reach."""
+def _reach(graph: PathGraph, space: Space, edge: int, beyond_m: float = 0.0) -> float:
+    """How far (cells) the places at both ends of an edge reach, more than this far (m)."""
     reach = 0.0
     for end in graph.edges[edge][:2]:
         node = graph.nodes[end]
         if node.role != "door" and graph.degree(end) > 1:
-            reach += float(space.half_width_m[tuple(np.rint(node.at).astype(int))]) / space.cell_m
+            half = float(space.half_width_m[tuple(np.rint(node.at).astype(int))])
+            reach += max(0.0, half - beyond_m) / space.cell_m
     return reach
 
 

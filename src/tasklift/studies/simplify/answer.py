@@ -17,7 +17,7 @@ from tasklift.files import canonical_json, results_folder, write_atomically
 from tasklift.lab import FILE_NAME, Progress
 from tasklift.lab.runs import Table
 from tasklift.report import pictures
-from tasklift.studies.simplify.search import SCRATCH, Found, Measures, Raced, SimplifyStudy, study_of
+from tasklift.studies.simplify.search import RUNGS, SCRATCH, Found, Measures, Raced, SimplifyStudy, study_of
 from tasklift.studies.simplify.space import Candidate, Step
 from tasklift.studies.spec_file import about
 from tasklift.style import GROUND
@@ -157,8 +157,9 @@ def _scratch_row(scratch: Measures) -> list[Any]:
 def lattice_figure(answer: Answer) -> Figure:
     """Draw the tasks of one stage: switches of the world by changes of the task, coloured by what they save.
 
-    Each field shows the best way to carry over. A number above is what is saved against learning from scratch on the
-    seeds raced; one below is what is lost before the target. Arrows are the steps of the recommended curriculum.
+    Each field shows the best way to carry over. Above is what is saved, as a share of what learning from scratch comes
+    to; below on how much that rests, and what is lost before the target. Arrows are the steps of the recommended
+    curriculum.
     """
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import Rectangle
@@ -167,8 +168,7 @@ def lattice_figure(answer: Answer) -> Figure:
     fields = _fields(found)
     columns = sorted({switch for switch, _ in fields}, key=lambda switch: (switch != AS_IT_IS, switch))
     rows = list(dict.fromkeys(changes for _, changes in fields))[:MOST_ROWS]
-    saved = {at: one.saved(found.scratch) for at, one in fields.items()}
-    most = max([*saved.values(), 1e-9])
+    most = max([*(one.saved for one in fields.values()), 1e-9])
     colours = LinearSegmentedColormap.from_list("saved", [GROUND[name][0] for name in ("fails", "paper", "holds")])
     figure = pictures.page(2.2 + 1.15 * len(columns), 1.1 + 0.42 * len(rows))
     axes = figure.subplots()
@@ -176,14 +176,15 @@ def lattice_figure(answer: Answer) -> Figure:
         if changes not in rows:
             continue
         x, y = columns.index(switch), rows.index(changes)
-        share = float(np.clip(saved[switch, changes] / most, -1, 1))
+        share = float(np.clip(one.saved / most, -1, 1))
+        seeds = "probe" if one.seeds < RUNGS[0] else f"{one.seeds} seeds"
         axes.add_patch(
             Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colours(0.5 + 0.3 * share), edgecolor=GROUND["line"][0],
                       hatch=None if one.allowed else "///")
         )  # fmt: skip
-        axes.text(x, y - 0.14, f"{saved[switch, changes]:+.4g}", ha="center", va="center", size=7.5)
-        lost = f"{one.measures.losses_before.mean():.4g} lost before"
-        axes.text(x, y + 0.24, lost, ha="center", va="center", size=5.5, color=GROUND["soft"][0])
+        axes.text(x, y - 0.14, f"{one.saved:+z.0%}", ha="center", va="center", size=7.5)
+        basis = f"{seeds}; {one.measures.losses_before.mean():.4g} lost before"
+        axes.text(x, y + 0.24, basis, ha="center", va="center", size=5, color=GROUND["ink"][0])
     if found.best is not None:
         _draw_path(axes, [_place(step) for step in found.best.steps], columns, rows)
     axes.set_xlim(-0.5, len(columns) - 0.5)
@@ -195,7 +196,7 @@ def lattice_figure(answer: Answer) -> Figure:
     axes.xaxis.tick_top()
     axes.set_xlabel(
         f"{answer.criterion.replace('-', ' ')} saved against learning from scratch\n"
-        "hatched: the target is solved less often, or a limit is passed; white: left out by the probe"
+        "hatched: the target is solved less often, or a limit is passed"
     )
     return figure
 
@@ -203,7 +204,7 @@ def lattice_figure(answer: Answer) -> Figure:
 def _fields(found: Found) -> dict[tuple[str, str], Raced]:
     """Return the best candidate of one stage by switch and changes of the task, those with fewest changes first."""
     best: dict[tuple[str, str], Raced] = {}
-    for one in found.race:
+    for one in (*found.race, *found.probed):
         if len(one.candidate.steps) == 1:
             best.setdefault(_place(one.candidate.steps[0]), one)
     changes = {place: sum(bool(move.variable) for move in one.candidate.steps[0].moves) for place, one in best.items()}
@@ -227,4 +228,5 @@ def _draw_path(axes: Any, places: list[tuple[str, str]], columns: list[str], row
             Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, fill=False, edgecolor=GROUND["ink"][0], linewidth=1.8, zorder=3)
         )
     for one, other in pairwise(at):
-        axes.annotate("", other, one, arrowprops={"arrowstyle": "->", "color": GROUND["ink"][0], "linewidth": 1.4})
+        way = {"arrowstyle": "->", "connectionstyle": "arc3,rad=0.25", "shrinkA": 24, "shrinkB": 24}
+        axes.annotate("", other, one, arrowprops={**way, "color": GROUND["ink"][0], "linewidth": 1.4})

@@ -70,11 +70,15 @@ class Measures:
 
 @dataclass(frozen=True)
 class Raced:
-    """A candidate's place in the race: seeds, its measures on them, and whether it keeps to all limits."""
+    """A candidate's place in the race: its measures, whether it keeps to all limits, and what it saves.
+
+    ``saved`` is a share of what learning from scratch comes to on the same seeds.
+    """
 
     candidate: Candidate
     measures: Measures
     allowed: bool
+    saved: float
 
     @property
     def seeds(self) -> int:
@@ -85,10 +89,6 @@ class Raced:
     def rank(self) -> tuple[bool, float]:
         """What candidates are sorted by: those within the limits first, then by the mean of the criterion."""
         return not self.allowed, float(self.measures.criterion.mean())
-
-    def saved(self, scratch: Measures) -> float:
-        """Return by how much the mean is less than that of learning from scratch on the same seeds."""
-        return float((scratch.criterion[: self.seeds] - self.measures.criterion).mean())
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,8 @@ class Found:
         The candidate to learn first; None: learn the target task from scratch.
     race
         The candidates that were raced, the best first.
+    probed
+        Those of one stage that a probe left out, the best first.
     scratch
         Learning from scratch, on the race's seeds.
     judged
@@ -117,6 +119,7 @@ class Found:
 
     best: Candidate | None
     race: list[Raced]
+    probed: list[Raced]
     scratch: Measures
     judged: list[Raced]
     judge: Measures
@@ -329,24 +332,26 @@ class SimplifyStudy:
 
     def race(
         self, file: Path, candidates: Sequence[Candidate], progress: Progress | None
-    ) -> tuple[list[Raced], Measures]:
+    ) -> tuple[list[Raced], list[Raced], Measures]:
         """Probe candidates, then race the best on growing sets of seeds.
 
-        Returns all that were raced, the best first, and learning from scratch. The user's own are raced unprobed.
+        Returns those that were raced, those that the probe left out, the best first, and learning from scratch. The
+        user's own are raced unprobed.
         """
-        going = [candidate for candidate in candidates if candidate.own is not None]
+        own = [candidate for candidate in candidates if candidate.own is not None]
         made = [candidate for candidate in candidates if candidate.own is None]
+        probed: list[Raced] = []
         if len(made) > PROBE_LEAST:
             probed, _ = self._measured(file, made, range(PROBE_SEEDS), progress, PROBE_SHARE)
-            made = [one.candidate for one in sorted(probed, key=lambda one: one.rank)[: _best_quarter(len(made))]]
-        going += made
-        out: list[Raced] = []
+            probed.sort(key=lambda one: one.rank)
+            made = [one.candidate for one in probed[: _best_quarter(len(made))]]
+        going, out = [*own, *made], list[Raced]()
         for seeds in RUNGS:
             raced, scratch = self._measured(file, going, range(seeds), progress)
             raced.sort(key=lambda one: one.rank)
             left = len(raced) if seeds == RUNGS[-1] else _better_half(len(raced))
             going, out = [one.candidate for one in raced[:left]], [*raced[left:], *out]
-        return [*raced, *out], scratch
+        return [*raced, *out], probed[len(made) :], scratch
 
     def _measured(
         self,
@@ -358,7 +363,11 @@ class SimplifyStudy:
     ) -> tuple[list[Raced], Measures]:
         """Measure candidates, in the order given, and learning from scratch."""
         found, scratch = self.measured(file, candidates, seeds, progress, share)
-        return [Raced(c, m, self._allowed(m, scratch, share)) for c, m in zip(candidates, found, strict=True)], scratch
+        whole = float(scratch.criterion.mean())
+        return [
+            Raced(one, m, self._allowed(m, scratch, share), (whole - float(m.criterion.mean())) / max(abs(whole), 1e-9))
+            for one, m in zip(candidates, found, strict=True)
+        ], scratch
 
     def _allowed(self, measures: Measures, scratch: Measures, share: float = 1.0) -> bool:
         """Return whether late success is high enough, and what the user limits is within the limits."""
@@ -372,7 +381,7 @@ class SimplifyStudy:
 
     def search(self, file: Path, progress: Progress | None = None) -> Found:
         """Race the candidates, and judge the chosen one on new seeds; ``file`` keeps every run."""
-        race, scratch = self.race(file, self.found, progress)
+        race, probed, scratch = self.race(file, self.found, progress)
         longer: list[Candidate] = []
         if self.settings.get("stages", 1) > 1:
             good = [one.candidate for one in race if one.candidate.own is None][:LAST_STAGES]
@@ -386,7 +395,8 @@ class SimplifyStudy:
         judged, judge = self._measured(file, finalists, fresh, progress)
         with Store.read(file) as store:
             spent = sum(int(summary["episodes"]) for _, summary in store.outlines())
-        found = Found(None, race, scratch, judged, judge, dict(self.refused), len(self.found) + len(longer), spent)
+        tried = len(self.found) + len(longer)
+        found = Found(None, race, probed, scratch, judged, judge, dict(self.refused), tried, spent)
         helps = bool(judged) and judged[0].allowed and found.against_scratch().verdict == "holds"
         return replace(found, best=judged[0].candidate) if helps else found
 

@@ -152,7 +152,7 @@ def steps(task: Task, settings: Mapping[str, Any], world: Any = None) -> list[Ca
     >>> from tasklift.tasks.task import Task, Variable
     >>> walk = Task("walk", (Variable("place", range(8)), Variable("rain", (0, 1))), (Variable("go", (0, 1)),))
     >>> [candidate.words for candidate in steps(walk, {"trials": 20})]
-    ['without place', 'go never 0', 'go never 1', 'coarse place', 'without rain']
+    ['without place', 'coarse place', 'without rain']
     """
     never = [set(pair) for pair in settings.get("never", ())]
     found = []

@@ -29,6 +29,7 @@ _HOMES = {
     "learning.compare": ("compare",),
     "learning.approx": ("approximate", "fidelity", "learn_approximate"),
     "networks.extend": ("extend_module",),
+    "envs.ids": ("make",),
     "building.graph": ("Building",),
     "building.generate": ("generate",),
     "building.mission": ("Mission",),

@@ -9,6 +9,7 @@ from tasklift.building.reading import Reading as Reading
 from tasklift.building.team import SCOUT as SCOUT
 from tasklift.building.team import WEAPON as WEAPON
 from tasklift.building.team import Kind as Kind
+from tasklift.envs.ids import make as make
 from tasklift.errors import TaskliftError as TaskliftError
 from tasklift.learning.approx import (
     approximate as approximate,

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from tasklift.building import sensors
+from tasklift.building.layout import Lane
 from tasklift.building.randomness import (
     EDGE_DRAW,
     FIRST,
@@ -794,17 +795,101 @@ def _step(world, rules, learner, lane):
 
 @_entry
 def step(world, rules, learner, lane):
-    """Run :func:`_step`; the door from Python, for traces, tests and robots that are steered from outside."""
+    """Run :func:`_step`; the door from Python, for traces and tests."""
     return _step(world, rules, learner, lane)
 
 
+# --- many simulations, steered from outside ----------------------------------------------------------------------
+
+
+@inline
+def _lane(lanes, i):
+    """Return simulation i of several: every array of ``lanes`` has one more axis, in front."""
+    return Lane(
+        lanes.robots[i],
+        lanes.given[i],
+        lanes.roster[i],
+        lanes.awake[i],
+        lanes.sites[i],
+        lanes.places[i],
+        lanes.touched[i],
+        lanes.rooms[i],
+        lanes.picks[i],
+        lanes.open[i],
+        lanes.share[i],
+        lanes.visited[i],
+        lanes.maps[i],
+        lanes.pooled[i],
+        lanes.teams[i],
+        lanes.slots[i],
+        lanes.classes[i],
+        lanes.used[i],
+        lanes.pairs[i],
+        lanes.shuffle[i],
+        lanes.count[i],
+        lanes.weights[i],
+        lanes.sums[i],
+        lanes.stale[i],
+    )
+
+
+@inline
+def _show(world, rules, lane, steered, i):
+    """Write out the inputs of simulation i's robots, and who lives; a lost robot keeps the input that it saw last."""
+    for k in range(lane.count[0].alive):
+        sense(world, rules, lane, lane.roster[k])
+        lane.robots[lane.roster[k]].seen = _seen(world, rules, lane, lane.roster[k])
+    for r in range(lane.robots.shape[0]):
+        steered.rows[i, r] = lane.robots[r].seen
+        steered.alive[i, r] = lane.robots[r].alive
+
+
 @_entry
-def observe(world, rules, lane):
-    """Find the input of every living robot; a lost one keeps the last that it saw."""
-    for i in range(lane.count[0].alive):
-        r = lane.roster[i]
-        sense(world, rules, lane, r)
-        lane.robots[r].seen = _seen(world, rules, lane, r)
+def begin_many(world, rules, steered, which):
+    """Begin the next trial of some simulations; ``which`` int64 (k,) are their numbers."""
+    for k in range(which.shape[0]):
+        i = which[k]
+        lane = _lane(steered.lanes, i)
+        steered.trials[i] += 1
+        begin_trial(world, rules, lane, absorb(steered.keys[i, 0], steered.trials[i]), steered.keys[i, 1])
+        steered.state[i] = GOES_ON
+        steered.lost[i] = 0
+        steered.rewards[i] = 0.0
+        _show(world, rules, lane, steered, i)
+
+
+@_entry
+def step_many(world, rules, learner, steered):
+    """Run one step of every simulation that goes on, and reward it; the others get nothing and stay as they are."""
+    for i in range(steered.state.shape[0]):
+        if steered.state[i] == GOES_ON:
+            _step_and_reward(world, rules, learner, steered, i)
+        else:
+            steered.lost[i] = 0
+            steered.rewards[i] = 0.0
+
+
+@inline
+def _step_and_reward(world, rules, learner, steered, i):
+    lane, pay, rewards = _lane(steered.lanes, i), steered.pay[0], steered.rewards[i]
+    count, robots, alive = lane.count[0], lane.robots, steered.alive[i]
+    for r in range(robots.shape[0]):
+        lane.given[r] = steered.outputs[i, r]
+        rewards[r] = pay.signal * learner.signal[steered.rows[i, r], steered.outputs[i, r]] if alive[r] == 1 else 0.0
+    left, losses = count.edges_left + count.rooms_left + count.hostiles_left, count.losses
+    state = _step(world, rules, learner, lane)
+    left -= count.edges_left + count.rooms_left + count.hostiles_left
+    gain = pay.progress * left / (lane.visited.shape[0] + rules.rooms + rules.hostiles)
+    if state == SUCCESS:
+        gain += pay.success * (1.0 - 0.5 * count.step / rules.limit)
+    for r in range(robots.shape[0]):
+        repelled = rules.drill == 1 and count.losses > losses and robots[r].repelled == 1
+        lost = alive[r] == 1 and (robots[r].alive == 0 or repelled)
+        steered.lost[i, r] = 1 if lost else 0
+        if alive[r] == 1:
+            rewards[r] += pay.loss if lost else gain
+    steered.state[i] = state
+    _show(world, rules, lane, steered, i)
 
 
 # --- a trial ----------------------------------------------------------------------------------------------------

@@ -40,6 +40,7 @@ COUNT = _record(
     hostiles_left="i8", losses="i8", messages="i8", used="i8", tick="i8", robot_steps="i8", arrivals="i8", outside="i8",
     key="u8",
 )  # fmt: skip
+PAY = _record(progress="f8", loss="f8", success="f8", signal="f8")  # what a steered simulation rewards
 
 #: Classes of robots in one corridor, by progress and pace, whose meetings are foreseen; with more it is watched.
 CLASSES = 8
@@ -123,3 +124,18 @@ class Lane(NamedTuple):
     weights: Any  # float64 (S, A)
     sums: Any  # float64 (S, A): running sums of each row's weights, up to the first stale one
     stale: Any  # int64 (S,): the first output whose sum is not up to date, A: none
+
+
+class Steered(NamedTuple):
+    """``n`` simulations side by side, in each of which every robot's output comes from outside in every step."""
+
+    lanes: Any  # a Lane, each of whose arrays has one more axis in front: (n, …)
+    keys: Any  # uint64 (n, 2): of each, the hash of (seed, map, stage) and of (seed, map)
+    trials: Any  # int64 (n,): the number of the trial under way
+    pay: Any  # PAY (1,)
+    outputs: Any  # int64 (n, R), in: those of the lost are not looked at
+    state: Any  # int64 (n,): GOES_ON, or how the trial ended
+    rows: Any  # int64 (n, R): every robot's input, its row of the mission's table
+    alive: Any  # uint8 (n, R)
+    lost: Any  # uint8 (n, R): who took part in a failed attack in the last step
+    rewards: Any  # float64 (n, R): of the last step

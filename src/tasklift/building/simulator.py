@@ -14,7 +14,7 @@ from threading import Timer
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from tasklift.building import kernel, layout
 from tasklift.building.inputs import compiling, kernel_for, numbers_of
@@ -222,7 +222,7 @@ class Simulator:
         return np.uint64(stage_key), np.uint64(place_key)
 
     def begin_trial(self, lane: layout.Lane, seed: int, stage: int, trial: int) -> None:
-        """Set a lane to the start of one trial; :meth:`step` and :meth:`act` take it from there."""
+        """Set a lane to the start of one trial; :meth:`step` takes it from there."""
         self._check_lane(lane)
         whole_number(trial, "trial")
         stage_key, place_key = self.keys(seed, stage)
@@ -389,35 +389,68 @@ class Simulator:
             messages=column["messages"],
         )
 
-    def act(self, learner: layout.Learner, lane: layout.Lane, outputs: ArrayLike) -> int:
-        """Run one step with every robot's output given from outside; return what :meth:`step` returns.
+    def steered(self, n: int, *, progress: float, loss: float, success: float, signal: float) -> layout.Steered:
+        """Allocate ``n`` simulations side by side, whose robots are steered from outside.
 
         The mission's reading must have ``decide="robot"`` and ``patience=1``, so that everyone decides in every step.
 
         Parameters
         ----------
-        outputs : int64 (R,)
-            The number of each robot's output; a lost robot's is not looked at.
+        n
+            Number of simulations.
+        progress
+            Reward of all who live, shared out over the mission's work: every edge that somebody is the first to travel,
+            room that is searched and hostile that is destroyed gives an equal part.
+        loss
+            Reward of a robot that takes part in a failed attack.
+        success
+            Reward of all who are left at the end of a success, × (1 − steps / (2 × limit)).
+        signal
+            Weight of the task's local signals among the rewards.
         """
-        self._check(learner, lane)
-        try:
-            given = np.asarray(outputs)
-        except ValueError:  # lists of several lengths
-            given = np.empty(0)
-        if given.shape != lane.given.shape or given.dtype.kind not in "iu":
-            raise TaskliftError(f"act: expected {len(lane.given)} output numbers, found {_described(given)}")
-        last = len(learner.outputs) - 1
-        if ((given < 0) | (given > last))[lane.robots["alive"] == 1].any():
-            raise TaskliftError(f"act: expected output numbers from 0 to {last}, found {shown(outputs)}")
-        lane.given[:] = np.clip(given, 0, last)
-        return self.step(learner, lane)
+        whole_number(n, "steered, n", 1, 1_000_000)
+        one = self.lane(self.mission.task.shape)
+        # zeros cost no memory until they are written to; of a lane, only `given` begins with anything else
+        lanes = layout.Lane(*(np.zeros((n, *array.shape), array.dtype) for array in one))
+        robots = (n, self.mission.n_robots)
+        return layout.Steered(
+            lanes=lanes,
+            keys=np.zeros((n, 2), np.uint64),
+            trials=np.full(n, -1, np.int64),
+            pay=_records(layout.PAY, progress=[progress], loss=[loss], success=[success], signal=[signal]),
+            outputs=np.zeros(robots, np.int64),
+            state=np.full(n, FAILURE, np.int64),
+            rows=np.zeros(robots, np.int64),
+            alive=np.zeros(robots, np.uint8),
+            lost=np.zeros(robots, np.uint8),
+            rewards=np.zeros(robots),
+        )
 
-    def observe(self, lane: layout.Lane) -> NDArray[np.int64]:
-        """Return every robot's input, ``int64 (R,)``: its row of the full task's table."""
-        self._check_lane(lane)
-        with _patience(self.kernel.observe, self.mission.inputs):
-            self.kernel.observe(self.world, self.rules, lane)
-        return lane.robots["seen"].copy()
+    def seed_steered(self, steered: layout.Steered, seeds: Sequence[int], stage: int) -> None:
+        """Give every simulation a random key; its next trial is number 0."""
+        steered.keys[:] = [self.keys(seed, stage) for seed in seeds]
+        steered.trials[:] = -1
+
+    def begin_steered(self, steered: layout.Steered, which: NDArray[np.int64]) -> None:
+        """Begin the next trial of the simulations with the numbers ``which``, int64 (k,)."""
+        with _patience(self.kernel.begin_many, self.mission.inputs):
+            self.kernel.begin_many(self.world, self.rules, steered, which)
+
+    def step_steered(self, learner: layout.Learner, steered: layout.Steered) -> None:
+        """Run one step of every simulation that goes on, with the outputs in ``steered.outputs``.
+
+        The learner is compiled for the mission's whole task, and does not learn.
+
+        Raises
+        ------
+        TaskliftError
+            For output numbers that the task has not.
+        """
+        last = len(learner.outputs) - 1
+        if steered.outputs.view(np.uint64).max() > last:  # a negative number is a large one there
+            raise TaskliftError(f"step: expected output numbers from 0 to {last}, found {shown(steered.outputs)}")
+        with _patience(self.kernel.step_many, self.mission.inputs):
+            self.kernel.step_many(self.world, self.rules, learner, steered)
 
     def _refuse_input(self, task: Task, row: int) -> None:
         raise TaskliftError(
@@ -544,7 +577,7 @@ def _patience(entry: Any, sensors: tuple[Sensor, ...]) -> Iterator[None]:
 
     A sensor that cannot be compiled is an error of one line.
     """
-    if entry.signatures:
+    if entry.overloads:
         yield
         return
     note = "tasklift: compiling the simulator for this machine, once; this can take half a minute"

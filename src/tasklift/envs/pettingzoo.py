@@ -11,149 +11,129 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.building import Mission
-from tasklift.building.simulator import FAILURE, SUCCESS
+from tasklift.building.mission import Mission
+from tasklift.envs.batch import Act, Actions, Batch, Observations, Observe, Rewards
+from tasklift.envs.picture import MODES, Drawn
 from tasklift.errors import TaskliftError, missing
-from tasklift.learning.chances import TARGET_STAGE
-from tasklift.learning.reinforcement import Reinforcement
 
 try:
-    from gymnasium.spaces import MultiDiscrete
     from pettingzoo import ParallelEnv
 except ImportError as error:
     raise missing("PettingZoo", "gym", "tasklift.envs.pettingzoo") from error
 
-Observations = dict[str, NDArray[np.int64]]
 
-
-class SearchEnv(ParallelEnv):
+class SearchEnv(Drawn, ParallelEnv):
     """A mission whose robots are steered from outside.
 
-    Agents are called after their kind and number (``"scout_0"``, … ``"weapon_10"``), in the simulator's order. An
-    observation has the positions of the mission's inputs: by default DL, GL, nWPN and FTR (``MultiDiscrete([3, 2, 3,
-    5])``). An action has those of its outputs: by default MV, WPN and CA (``MultiDiscrete([2, 2, 11])``).
+    Agents are called after their kind and number (``"scout_0"``, … ``"weapon_10"``), in the simulator's order. What
+    they see and do is read from ``mission.task``: its inputs (DL, GL, nWPN and FTR) and outputs (MV, WPN and CA).
 
     Parameters
     ----------
     mission
         Where, who, and the world's rules; ``decide`` and ``patience`` of its reading do not matter here.
-    loss_reward
-        For a robot that takes part in a failed attack.
-    success_reward
-        At the end of a successful trial, everyone who is left gets this × (1 − steps / limit).
+    observe
+        ``"values"``: the positions of the inputs, a ``MultiDiscrete``. ``"onehot"``: a ``Box`` of ones and zeros.
+        ``"local"``: that, and what the robot knows of the corridors and robots around it: :class:`.Observations`.
+    act
+        ``"values"``: the positions of the outputs, a ``MultiDiscrete``. ``"flat"``: one ``Discrete`` number.
+    render_mode
+        None, ``"rgb_array"`` or ``"human"``.
+    **rewards
+        ``progress_reward``, ``loss_reward``, ``success_reward`` and ``signal_weight``: :class:`.Rewards`.
+
+    Raises
+    ------
+    TaskliftError
+        For an unknown option; later, for a missing action, one outside its space, one of a robot that is lost or
+        unknown, and a step after the end.
 
     Notes
     -----
-    In each step a robot's reward also has the task's local signal for its input and output (Table III). A robot
-    that is destroyed terminates; at the step limit the rest is truncated. ``reset(seed=…)`` starts trial 0 of that
-    seed, which also hides the hostiles; ``reset()`` goes on to the next trial.
+    A robot that is destroyed terminates; at the step limit the rest is truncated. ``reset(seed=…)`` starts trial 0 of
+    that seed, which also hides the hostiles; ``reset()`` goes on to the next trial, of a fresh seed if none was given.
     """
 
-    metadata = {"name": "tasklift_search_v0", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
-    render_mode = None
+    metadata = {  # noqa: RUF012
+        "name": "tasklift_search_v0",
+        "render_modes": MODES,
+        "is_parallelizable": True,
+        "render_fps": 10,
+    }
 
-    def __init__(self, mission: Mission, *, loss_reward: float = -1.0, success_reward: float = 1.0) -> None:
-        self.mission = mission.with_reading(decide="robot", patience=1)
-        self.loss_reward, self.success_reward = loss_reward, success_reward
-        self.task = mission.task
-        kinds = [kind.name for kind, number in mission.team.items() for _ in range(number)]
+    def __init__(
+        self,
+        mission: Mission,
+        *,
+        observe: Observe = "values",
+        act: Act = "values",
+        render_mode: str | None = None,
+        **rewards: float,
+    ) -> None:
+        self._set_mode(render_mode)
+        self._batch = Batch(mission, 1, Rewards.of(rewards))
+        self.mission, self.task = self._batch.mission, mission.task
+        kinds = [kind.name for kind, n in mission.team.items() for _ in range(n)]
         self.possible_agents = [f"{kind}_{r}" for r, kind in enumerate(kinds)]
         self.agents: list[str] = []
-        self._numbers = {agent: r for r, agent in enumerate(self.possible_agents)}
-        self._sizes = [len(v) for v in self.task.outputs]
-        self._observations = {a: MultiDiscrete([len(v) for v in self.task.inputs]) for a in self.possible_agents}
-        self._actions = {a: MultiDiscrete(self._sizes) for a in self.possible_agents}
-        self._signals = self.task.signal_table()
-        self._positions = self.task.input_positions(range(self.task.shape[0]))
-        self._simulator = self.mission.simulator
-        self._learner = self._simulator.learner(self.task, Reinforcement(), learn=False)
-        self._lane = self._simulator.lane(self.task.shape)
-        self._seed, self._trial = 0, -1
+        self._robots: list[int] = []  # the agents' numbers
+        self._observations, self._actions = Observations(mission, observe), Actions(mission, act)
+        self._states = Observations(mission, "onehot")
+        self.state_space = self._states.space(mission.n_robots)
+        self._observation_spaces = {agent: self._observations.space() for agent in self.possible_agents}
+        self._action_spaces = {agent: self._actions.space() for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> Any:
         """Return the space of an agent's observations; always the same object."""
-        return self._observations[agent]
+        return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> Any:
         """Return the space of an agent's actions; always the same object."""
-        return self._actions[agent]
+        return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, dict[str, Any]]]:
         """Begin trial 0 of a seed, or the next trial of the last one."""
-        self._trial = self._trial + 1 if seed is None else 0
-        self._seed = self._seed if seed is None else int(seed)
-        self._simulator.begin_trial(self._lane, self._seed, TARGET_STAGE, self._trial)
-        self.agents = list(self.possible_agents)
-        self._inputs = self._simulator.observe(self._lane)
-        return self._seen(), self._infos(np.zeros(len(self.agents), bool))
+        if seed is not None or not self._batch.begun:
+            self._batch.seed(seed)
+        self._batch.begin()
+        self.agents, self._robots = list(self.possible_agents), list(range(len(self.possible_agents)))
+        self._show()
+        return self._by_agent(self._observations.of(self._batch)[0]), self._infos()
 
     def step(self, actions: dict[str, Any]) -> tuple[Any, Any, Any, Any, Any]:
         """Do one step with everybody's action; returns observations, rewards, terminations, truncations, infos."""
         if not self.agents:
-            return {}, {}, {}, {}, {}
-        robots, agents = self._lane.robots, self.agents
-        outputs = self._outputs(actions)
-        rewards = self._signals[self._inputs, outputs]
-        losses = int(self._lane.count["losses"][0])
-        state = self._simulator.act(self._learner, self._lane, outputs)
-        alive = robots["alive"] == 1
-        lost = ~alive
-        if self.mission.reading.drill and int(self._lane.count["losses"][0]) > losses:
-            lost = robots["repelled"] == 1
-        if state == SUCCESS:
-            steps = int(self._lane.count["step"][0])
-            rewards = rewards + self.success_reward * (1 - steps / self.mission.limit) * ~lost
-        rewards = rewards + self.loss_reward * lost
-        self._inputs = self._simulator.observe(self._lane)
+            raise TaskliftError("step: the episode (trial) is over, or has not begun; call reset() before")
+        if len(actions) > len(self.agents):
+            extra = next(agent for agent in actions if agent not in self.agents)
+            known = "lost" if extra in self.possible_agents else "unknown"
+            raise TaskliftError(f"step: {extra!r} is {known}; expected actions of {', '.join(self.agents)} only")
+        batch, outputs = self._batch, np.zeros((1, len(self.possible_agents)), np.int64)
+        for agent, r in zip(self.agents, self._robots, strict=True):
+            outputs[0, r] = self._actions.number(actions.get(agent), agent)
+        batch.step(outputs)
+        over, cut, alive = bool(batch.state[0]), batch.cut[0].tolist(), batch.alive[0].tolist()
         result = (
-            self._seen(),
-            self._by_agent(rewards),
-            self._by_agent((state == SUCCESS) | ~alive),
-            self._by_agent((state == FAILURE) & alive),
-            self._infos(lost),
+            self._by_agent(self._observations.of(batch)[0]),
+            self._by_agent(batch.rewards[0].tolist()),
+            self._by_agent([not cut[r] and (over or not alive[r]) for r in range(len(alive))]),
+            self._by_agent(cut),
+            self._infos(),
         )
-        self.agents = [] if state else [agent for agent in agents if alive[self._numbers[agent]]]
+        self._robots = [] if over else [r for r in self._robots if alive[r]]
+        self.agents = [self.possible_agents[r] for r in self._robots]
+        self._show()
         return result
 
-    def state(self) -> NDArray[np.int64]:
-        """Return everybody's input, int64 (R,); −1 for a robot that is lost."""
-        return np.where(self._lane.robots["alive"] == 1, self._inputs, -1)
+    def state(self) -> NDArray[np.float32]:
+        """Return everybody's inputs, one-hot and in a row, float32; zeros for a robot that is lost."""
+        return self._states.of(self._batch).ravel()
 
-    def render(self) -> None:
-        """Draw nothing: ``tasklift watch`` shows trials."""
+    def _by_agent(self, values: Any) -> dict[str, Any]:
+        return {agent: values[r] for agent, r in zip(self.agents, self._robots, strict=True)}
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to close."""
-
-    def _outputs(self, actions: dict[str, Any]) -> NDArray[np.int64]:
-        """Return the number of each robot's output, int64 (R,); 0 for the lost."""
-        outputs = np.zeros(len(self.possible_agents), np.int64)
-        for agent in self.agents:
-            action: Any = actions.get(agent)
-            values = action.tolist() if isinstance(action, np.ndarray) else action
-            index = 0
-            try:
-                for value, size in zip(values, self._sizes, strict=True):
-                    if not 0 <= value < size or value != int(value):
-                        raise ValueError
-                    index = index * size + int(value)
-            except (TypeError, ValueError) as error:
-                raise TaskliftError(
-                    f"step: expected an action of {self._actions[agent]} for {agent!r}, found {action!r}"
-                ) from error
-            outputs[self._numbers[agent]] = index
-        return outputs
-
-    def _by_agent(self, values: NDArray[Any]) -> dict[str, Any]:
-        listed = values.tolist()
-        return {agent: listed[self._numbers[agent]] for agent in self.agents}
-
-    def _seen(self) -> Observations:
-        positions = self._positions[self._inputs]
-        return {agent: positions[self._numbers[agent]] for agent in self.agents}
-
-    def _infos(self, lost: NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
-        inputs, were_lost = self._inputs.tolist(), lost.tolist()
-        return {a: {"input": inputs[self._numbers[a]], "lost": were_lost[self._numbers[a]]} for a in self.agents}
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        inputs, lost = self._batch.rows[0].tolist(), self._batch.lost[0].tolist()
+        return self._by_agent([{"input": row, "lost": hit == 1} for row, hit in zip(inputs, lost, strict=True)])

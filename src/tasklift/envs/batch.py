@@ -1,0 +1,256 @@
+"""Building searches side by side, steered from outside: what the environments of the search share.
+
+Shapes: ``n`` missions, ``R`` robots each, ``F`` features of an observation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasklift.building.mission import Mission
+from tasklift.building.simulator import FAILURE, SUCCESS
+from tasklift.checks import number, one_of
+from tasklift.errors import TaskliftError
+from tasklift.learning.chances import TARGET_STAGE
+from tasklift.learning.reinforcement import Reinforcement
+
+Observe = Literal["values", "onehot", "local"]
+Act = Literal["values", "flat"]
+
+#: Corridors at its node that a local observation has room for; a node with more shows the first ones.
+CORRIDORS = 8
+
+
+@dataclass(frozen=True)
+class Rewards:
+    """What a robot is rewarded for in a step.
+
+    Parameters
+    ----------
+    progress_reward
+        To all who live, shared out over the mission's work: every edge that somebody is the first to travel, room that
+        is searched and hostile that is destroyed gives an equal part.
+    loss_reward
+        To a robot that takes part in a failed attack.
+    success_reward
+        To all who are left at the end of a success, × (1 − steps / (2 × limit)).
+    signal_weight
+        Weight of the task's local signals (Table III), in every step. They are rules of thumb for reinforcement of
+        weights: with weight 1 they outweigh all the rest, and a team that stands at doors earns most.
+    """
+
+    progress_reward: float = 0.5
+    loss_reward: float = -1.5
+    success_reward: float = 2.0
+    signal_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            number(value, name)
+
+    @classmethod
+    def of(cls, settings: dict[str, Any]) -> Rewards:
+        """Return the rewards with these settings, or refuse an unknown one."""
+        names = [field.name for field in fields(cls)]
+        for name in settings:
+            if name not in names:
+                raise TaskliftError(f"environment: unknown option {name!r}; rewards are set by {', '.join(names)}")
+        return cls(**settings)
+
+
+class Batch:
+    """Missions of one kind, stepped together by the compiled kernel; each robot decides at every step.
+
+    Parameters
+    ----------
+    mission
+        Where, who, and the world's rules; ``decide`` and ``patience`` of its reading do not matter here.
+    n
+        How many.
+    rewards
+        What is rewarded.
+
+    Attributes
+    ----------
+    rows : int64 (n, R)
+        The robots' inputs; a lost robot keeps the last that it saw.
+    alive, lost : uint8 (n, R)
+        Who lives, and who took part in a failed attack in the last step.
+    rewards : float64 (n, R)
+        Of the last step.
+    state : int64 (n,)
+        How each mission ended: 0 if it goes on, ``SUCCESS`` or ``FAILURE``.
+    """
+
+    def __init__(self, mission: Mission, n: int, rewards: Rewards) -> None:
+        if not isinstance(mission, Mission):
+            raise TaskliftError(f"environment: expected a Mission, found {mission!r}")
+        self.mission = mission.with_reading(decide="robot", patience=1)
+        self._simulator = self.mission.simulator
+        self._learner = self._simulator.learner(mission.task, Reinforcement(), learn=False)
+        self._steered = self._simulator.steered(
+            n,
+            progress=rewards.progress_reward,
+            loss=rewards.loss_reward,
+            success=rewards.success_reward,
+            signal=rewards.signal_weight,
+        )
+        self.rows, self.alive, self.lost = self._steered.rows, self._steered.alive, self._steered.lost
+        self.rewards, self.state, self.lanes = self._steered.rewards, self._steered.state, self._steered.lanes
+        self.begun = False
+
+    def seed(self, seed: int | None) -> None:
+        """Give every mission a seed of its own, which comes of this one; a single mission has this one itself."""
+        n = len(self.state)
+        if seed is not None and n == 1:
+            seeds = [seed]
+        else:
+            seeds = (np.random.SeedSequence(seed).generate_state(n, np.uint64) >> np.uint64(2)).tolist()
+        self._simulator.seed_steered(self._steered, seeds, TARGET_STAGE)
+
+    def begin(self, which: NDArray[np.int64] | None = None) -> None:
+        """Begin the next episode (trial) of the missions with these numbers, of all by default."""
+        self.begun = True
+        self._simulator.begin_steered(self._steered, np.arange(len(self.state)) if which is None else which)
+
+    def step(self, outputs: NDArray[np.int64]) -> None:
+        """Do one step of every mission that goes on; ``outputs`` int64 (n, R), those of the lost are not looked at."""
+        self._steered.outputs[:] = outputs
+        self._simulator.step_steered(self._learner, self._steered)
+
+    @property
+    def cut(self) -> NDArray[np.bool_]:
+        """Who lives at the step limit of a mission that did not succeed, bool (n, R)."""
+        return (self.alive == 1) & (self.state == FAILURE)[:, None]
+
+    @property
+    def succeeded(self) -> NDArray[np.bool_]:
+        """Which missions have just succeeded, bool (n,)."""
+        return self.state == SUCCESS
+
+
+class Observations:
+    """How observations look: the task's inputs as values, as one-hot vectors, or with what is nearby beside.
+
+    Parameters
+    ----------
+    mission
+        Whose task and building are seen.
+    kind
+        ``"values"``: the positions of the input variables, int64. ``"onehot"``: float32, one number for each value.
+        ``"local"``: that, and what a robot knows beside, as numbers from 0 to 1: whether it is armed; the share of the
+        limit that has passed; whether it is at a node, and for how many steps n, as n / (n + 20); how many robots, and
+        how many armed ones, are in its team, as shares of all; and of each of up to eight corridors at its node,
+        whether it exists, whether the robot has it in its map, and whether it came by it.
+    """
+
+    def __init__(self, mission: Mission, kind: Observe) -> None:
+        one_of(kind, get_args(Observe), "observe")
+        self.kind = kind
+        self.sizes = [len(v) for v in mission.task.inputs]
+        table = mission.task.input_positions(range(mission.task.shape[0]))
+        if kind != "values":
+            table = np.hstack([np.eye(n, dtype=np.float32)[table[:, i]] for i, n in enumerate(self.sizes)])
+        self._table = np.vstack([table, np.zeros_like(table[:1])])  # the last row is what the lost see
+        self.size = self._table.shape[1] + (6 + 3 * CORRIDORS if kind == "local" else 0)
+        self._armed = mission.simulator.world.members["armed"]
+        self._limit = mission.limit
+        first, last = mission.building.indptr[:-1], mission.building.indptr[1:]
+        slots = first[:, None] + np.arange(CORRIDORS)
+        self._exists = slots < last[:, None]
+        self._edge = mission.building.edge_of[np.where(self._exists, slots, 0)].astype(np.int64)
+
+    def space(self, copies: int = 1) -> Any:
+        """Return the Gymnasium space of one robot's observation, or of several robots' in a row."""
+        from gymnasium.spaces import Box, MultiDiscrete
+
+        if self.kind == "values":
+            return MultiDiscrete(self.sizes * copies)
+        return Box(0.0, 1.0, (self.size * copies,), np.float32)
+
+    def of(self, batch: Batch) -> NDArray[Any]:
+        """Return what the robots see, int64 or float32 (n, R, F); zeros for the lost."""
+        seen = self._table.take(np.where(batch.alive, batch.rows, len(self._table) - 1), axis=0)
+        if self.kind == "local":
+            return np.concatenate([seen, self._nearby(batch) * batch.alive[..., None]], axis=2)
+        return seen
+
+    def _nearby(self, batch: Batch) -> NDArray[np.float32]:
+        robots, step = batch.lanes.robots, batch.lanes.count["step"]
+        node, at_node = robots["node"].astype(np.int64), robots["half"] < 0
+        steps = at_node * (step - robots["arrived"])
+        teams = np.take_along_axis(batch.lanes.teams, robots["team"].astype(np.int64), axis=1)
+        numbers = [
+            np.broadcast_to(self._armed, node.shape),
+            np.broadcast_to(step / self._limit, node.shape),
+            at_node,
+            steps / (steps + 20),
+            teams["size"] / node.shape[1],
+            teams["armed"] / node.shape[1],
+        ]
+        edge = self._edge[node]
+        words = np.take_along_axis(batch.lanes.maps, edge >> 6, axis=2)
+        known = (words >> (edge & 63).astype(np.uint64)) & np.uint64(1) == 1
+        came = edge == robots["came"][..., None]
+        here = self._exists[node] & at_node[..., None]
+        return np.concatenate([np.stack(numbers, axis=2), here, here & known, here & came], axis=2, dtype=np.float32)
+
+
+class Actions:
+    """How actions look: the positions of the task's outputs, or one number.
+
+    Parameters
+    ----------
+    mission
+        Whose task's outputs are chosen.
+    kind
+        ``"values"``: ``MultiDiscrete``. ``"flat"``: ``Discrete``, the number of the output.
+    """
+
+    def __init__(self, mission: Mission, kind: Act) -> None:
+        one_of(kind, get_args(Act), "act")
+        self.kind = kind
+        self.sizes = [len(v) for v in mission.task.outputs] if kind == "values" else [mission.task.shape[1]]
+        self._strides = np.cumprod([1, *self.sizes[:0:-1]])[::-1].astype(np.int64)
+
+    def space(self) -> Any:
+        """Return the Gymnasium space of one robot's action."""
+        from gymnasium.spaces import Discrete
+
+        return self.space_of(1) if self.kind == "values" else Discrete(self.sizes[0])
+
+    def space_of(self, robots: int) -> Any:
+        """Return the Gymnasium space of several robots' actions in a row."""
+        from gymnasium.spaces import MultiDiscrete
+
+        return MultiDiscrete(self.sizes * robots)
+
+    def number(self, action: Any, who: str) -> int:
+        """Return the number of one robot's action, or refuse what is not an action."""
+        plain = action.tolist() if hasattr(action, "tolist") else action
+        index = 0
+        try:
+            for value, size in zip(plain if self.kind == "values" else (plain,), self.sizes, strict=True):
+                if type(value) is not int or not 0 <= value < size:
+                    raise ValueError
+                index = index * size + value
+        except (TypeError, ValueError) as error:
+            raise TaskliftError(f"step: expected an action of {self.space()} for {who!r}, found {action!r}") from error
+        return index
+
+    def numbers(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
+        """Return the numbers of many robots' actions, int64 of ``shape``, or refuse what are not actions."""
+        found, width = np.asarray(actions), len(self.sizes)
+        wanted = f"step: expected {np.prod(shape)} actions of {self.space()}, found"
+        if found.size != np.prod(shape) * width or found.dtype.kind not in "iu":
+            raise TaskliftError(f"{wanted} an array {found.dtype} {found.shape}")
+        parts = found.reshape(*shape, width)
+        for i, size in enumerate(self.sizes):
+            least, most = parts[..., i].min(), parts[..., i].max()
+            if least < 0 or most >= size:
+                raise TaskliftError(f"{wanted} numbers from {least} to {most}, where {size} values are possible")
+        return parts[..., 0] if width == 1 else parts @ self._strides

@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 ARGS   ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo chromium test test-slow fuzz kills bench instructions docs test-docs test-torch wheels format clean
+.PHONY: help demo chromium test test-slow fuzz kills bench instructions docs test-docs test-torch test-learners wheels format clean
 
 help:  ## say what each target does
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -42,6 +42,12 @@ test-torch: $(STAMP)  ## what needs PyTorch (4 GB): the surgery of networks, Sta
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[torch]' 'stable-baselines3>=2.4' 'onnxscript>=0.2'
 	$(BIN)/pytest tests/networks $(ARGS)
 
+test-learners:  ## RLlib, TorchRL, BenchMARL, Stable-Baselines3 on the building search, in an environment of their own (8 GB)
+	$(PYTHON) -m venv .venv-learners
+	.venv-learners/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[gym]' pytest supersuit \
+	  'stable-baselines3>=2.4' 'ray[rllib]>=2.40' torchrl benchmarl
+	.venv-learners/bin/python -m pytest tests/learners $(ARGS)
+
 fuzz: $(STAMP)  ## give every reader 100,000 damaged files (ARGS="policy --runs 1000")
 	$(BIN)/python tests/fuzz.py $(ARGS)
 
@@ -68,4 +74,4 @@ format: $(STAMP)  ## sort imports and mend what ruff can mend
 	$(BIN)/ruff check --fix .
 
 clean:  ## remove the environment and what was built
-	rm -rf $(VENV) site build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-learners site build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

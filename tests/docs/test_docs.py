@@ -22,7 +22,7 @@ GENERATED = re.compile(
 )
 
 
-@pytest.mark.parametrize("page", ["method", "simulator", "experiments", "watch", "extending", "robot"])
+@pytest.mark.parametrize("page", ["method", "simulator", "experiments", "watch", "extending", "learners", "robot"])
 def test_code_blocks_run_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(), re.DOTALL)

@@ -105,7 +105,9 @@ class SearchEnv(Drawn, ParallelEnv):
     def step(self, actions: dict[str, Any]) -> tuple[Any, Any, Any, Any, Any]:
         """Do one step with everybody's action; returns observations, rewards, terminations, truncations, infos."""
         if not self.agents:
-            raise TaskliftError("step: the episode (trial) is over, or has not begun; call reset() before")
+            if actions or not self._batch.begun:
+                raise TaskliftError("step: the episode (trial) is over, or has not begun; call reset() before")
+            return {}, {}, {}, {}, {}  # SuperSuit's black_death takes one more step, without actions
         if len(actions) > len(self.agents):
             extra = next(agent for agent in actions if agent not in self.agents)
             known = "lost" if extra in self.possible_agents else "unknown"

@@ -183,6 +183,30 @@ def test_a_network_learns_too() -> None:
     assert play(world, learned.approximation).returns.mean() > 2.3
 
 
+class Half:
+    """One step; of each of two inputs, only the lower half is ever met. The first output pays, the second costs."""
+
+    task = Task("half", (Variable("i", range(6)), Variable("j", range(4))), (Variable("o", range(3)),))
+    limit = 1
+
+    def start(self, rng: np.random.Generator) -> int:
+        return int(rng.integers(3)) * 4 + int(rng.integers(2))
+
+    def step(self, output: int) -> Step:
+        return Step(0, 10.0 * (1 - output), ended=True, success=True)
+
+
+@pytest.mark.parametrize("kind", ["tree", "network"])
+def test_what_was_transferred_stays_where_there_is_no_experience(kind) -> None:
+    start = approximate(Policy(Half.task, np.tile([1.0, 2.0, 3.0], (24, 1)), kind="value"), "tree")
+    curve = learn_approximate(Half(), start, kind=kind, rounds=2, trials=100, epsilon=1.0, discount=0.0)
+    weights = curve.approximation.to_policy().weights
+    never = [i for i in range(24) if i not in curve.met]
+    assert len(never) == 18
+    assert np.abs(weights[never] - [1.0, 2.0, 3.0]).max() < 1e-9
+    assert weights[list(curve.met)] == pytest.approx(np.tile([10.0, 0.0, -10.0], (6, 1)), abs=1.5)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

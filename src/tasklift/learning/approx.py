@@ -250,8 +250,10 @@ def learn_approximate(
 ) -> ApproximateCurve:
     """Learn by fitted Q iteration (Ernst, Geurts & Wehenkel, JMLR 2005): no table, only what was met.
 
-    Each round runs trials with ε-greedy choice, then fits, for each output, a correction to the start's weights:
-    where there is no experience, what was transferred stays.
+    Each round runs trials with ε-greedy choice, then fits, for each output, a correction to the start's weights. Where
+    there is no experience, what was transferred stays: an input's weight for an output changes only if each of the
+    input's values was met with that output. Without a start, the fit holds for all inputs. A network takes as many
+    gradient steps in a round as there were steps of experience.
 
     Parameters
     ----------
@@ -299,19 +301,19 @@ def learn_approximate(
     base = start or Approximation(full, _Zero(full.shape[1]))
     current = base
     collector, chances = _Collector(world, full), Chances(seed, stage)
+    learner = _Trees(full, leaf) if kind == "tree" else _Perceptron(full, hidden, seed)
     for number in range(rounds):
+        known = len(collector.steps)
         for i in range(trials):
             collector.trial(current, chances.of(number * trials + i), epsilon)
         memory = collector.memory()
+        met = None if start is None else _met(full, memory)
         base_now = base.rows(memory.before)[np.arange(len(memory.output)), memory.output]
+        updates = -(-(len(memory.output) - known) // sweeps)
         for _ in range(sweeps):
             ahead = np.where(memory.ended, 0.0, current.rows(memory.after).max(axis=1))
-            missing = memory.reward + discount * ahead - base_now
-            parts: list[_Tree | _Network | None] = []
-            for output in range(full.shape[1]):
-                chosen = memory.output == output
-                parts.append(_correction(kind, full, memory.before[chosen], missing[chosen], leaf, hidden, seed))
-            current = Approximation(full, _Corrected(base, parts), "value")
+            learner.fit(memory, memory.reward + discount * ahead - base_now, updates)
+            current = Approximation(full, _Corrected(base, learner, met), "value")
     return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
 
 
@@ -375,14 +377,69 @@ class _Collector:
         return _Memory(where[before], output, reward, where[after], ended)
 
 
-def _correction(
-    kind: Kind, task: Task, positions: Positions, missing: Floats, leaf: int, hidden: Sequence[int], seed: int
-) -> _Tree | _Network | None:
-    if len(positions) < leaf:
-        return None
-    if kind == "tree":
-        return _Tree(positions, missing[:, None], None, leaf)
-    return _Network(task, positions, missing[:, None], hidden, seed)
+def _met(task: Task, memory: _Memory) -> list[NDArray[np.bool_]]:
+    """Return, for each input variable, which of its values were met with which output, bool (values, A)."""
+    met = [np.zeros((len(variable), task.shape[1]), np.bool_) for variable in task.inputs]
+    for seen, positions in zip(met, memory.before.T, strict=True):
+        seen[positions, memory.output] = True
+    return met
+
+
+class _Trees:
+    """A regression tree for each output."""
+
+    def __init__(self, task: Task, leaf: int) -> None:
+        self.leaf, self.trees = leaf, [_Zero(1)] * task.shape[1]
+
+    def fit(self, memory: _Memory, missing: Floats, updates: int) -> None:
+        """Fit all trees anew."""
+        self.trees = [self._tree(memory.before[chosen], missing[chosen]) for chosen in self._by_output(memory)]
+
+    def _by_output(self, memory: _Memory) -> list[NDArray[np.bool_]]:
+        return [memory.output == output for output in range(len(self.trees))]
+
+    def _tree(self, positions: Positions, missing: Floats) -> Regressor:
+        return _Zero(1) if len(positions) < self.leaf else _Tree(positions, missing[:, None], None, self.leaf)
+
+    def rows(self, positions: Positions) -> Floats:
+        return np.hstack([tree.rows(positions) for tree in self.trees])
+
+
+class _Perceptron:
+    """One network for all outputs, which goes on from where it is; scikit-learn's."""
+
+    batch = 128
+
+    def __init__(self, task: Task, hidden: Sequence[int], seed: int) -> None:
+        self.task, self.rng = task, np.random.default_rng(seed)
+        self.network = _sklearn("neural_network").MLPRegressor(
+            hidden_layer_sizes=tuple(hidden), batch_size=self.batch, alpha=0.0, random_state=seed
+        )
+        self.scale = 0.0
+
+    def fit(self, memory: _Memory, missing: Floats, updates: int) -> None:
+        """Take gradient steps on experience drawn at random; what an output was not tried for stays as it is."""
+        drawn = self.rng.integers(len(missing), size=updates * self.batch)
+        where = memory.before[drawn]
+        targets = self.rows(where)
+        targets[np.arange(len(drawn)), memory.output[drawn]] = missing[drawn]
+        self._rescale(float(np.abs(missing).max()))
+        self.network.partial_fit(_one_hot(self.task, where), _squeezed(targets / self.scale))
+
+    def _rescale(self, largest: float) -> None:
+        """Let the network's numbers stay below about 1, and its function as it is."""
+        if largest > self.scale:
+            if self.scale:
+                for part in (self.network.coefs_[-1], self.network.intercepts_[-1]):
+                    part *= self.scale / largest
+            self.scale = largest
+        self.scale = self.scale or 1.0
+
+    def rows(self, positions: Positions) -> Floats:
+        shape = (len(positions), self.task.shape[1])
+        if not self.scale or not len(positions):
+            return np.zeros(shape)
+        return np.asarray(self.network.predict(_one_hot(self.task, positions))).reshape(shape) * self.scale
 
 
 # -- the functions themselves ----------------------------------------------------------------------------------
@@ -432,40 +489,46 @@ class _Network:
 
     def __init__(self, task: Task, positions: Positions, rows: Floats, hidden: Sequence[int], seed: int) -> None:
         networks = _sklearn("neural_network")
-        self.sizes, self.outputs = [len(v) for v in task.inputs], rows.shape[1]
+        self.task, self.outputs = task, rows.shape[1]
         self.middle, self.spread = rows.mean(), rows.std() or 1.0
-        one = self.outputs == 1
         solver = "lbfgs" if len(positions) <= 5000 else "adam"
         with warnings.catch_warnings():
             # a fit that stops at its limit of iterations is judged by its fidelity, not by a warning
             warnings.simplefilter("ignore", _sklearn("exceptions").ConvergenceWarning)
             self.network = networks.MLPRegressor(
                 hidden_layer_sizes=tuple(hidden), solver=solver, max_iter=500, alpha=1e-6, random_state=seed
-            ).fit(self._features(positions), np.squeeze((rows - self.middle) / self.spread, axis=1 if one else ()))
-
-    def _features(self, positions: Positions) -> Floats:
-        parts = [np.eye(size)[positions[:, k]] for k, size in enumerate(self.sizes)]
-        return np.hstack([np.ones((len(positions), 1)), *parts])
+            ).fit(_one_hot(task, positions), _squeezed((rows - self.middle) / self.spread))
 
     def rows(self, positions: Positions) -> Floats:
         if not len(positions):
             return np.zeros((0, self.outputs))
-        found = np.asarray(self.network.predict(self._features(positions)))
+        found = np.asarray(self.network.predict(_one_hot(self.task, positions)))
         return found.reshape(len(positions), self.outputs) * self.spread + self.middle
 
 
-class _Corrected:
-    """A start plus, for each output, a correction where there was experience."""
+def _one_hot(task: Task, positions: Positions) -> Floats:
+    """Return a constant and one number for each value of each input, float64 (n, 1 + values)."""
+    parts = [np.eye(len(variable))[positions[:, k]] for k, variable in enumerate(task.inputs)]
+    return np.hstack([np.ones((len(positions), 1)), *parts])
 
-    def __init__(self, base: Approximation, parts: Sequence[_Tree | _Network | None]) -> None:
-        self.base, self.parts = base, parts
+
+def _squeezed(targets: Floats) -> Floats:
+    """Return targets as scikit-learn wants them: of one output, without its axis."""
+    return targets[:, 0] if targets.shape[1] == 1 else targets
+
+
+class _Corrected:
+    """A start plus a correction, where each value of an input was met with the output."""
+
+    def __init__(self, base: Approximation, correction: Regressor, met: list[NDArray[np.bool_]] | None) -> None:
+        self.base, self.correction, self.met = base, correction, met
 
     def rows(self, positions: Positions) -> Floats:
-        found = self.base.rows(positions).copy()
-        for output, part in enumerate(self.parts):
-            if part is not None:
-                found[:, output] += part.rows(positions)[:, 0]
-        return found
+        found = self.correction.rows(positions)
+        if self.met is not None:
+            for seen, column in zip(self.met, positions.T, strict=True):
+                found = np.where(seen[column], found, 0.0)
+        return self.base.rows(positions) + found
 
 
 class _Extended:

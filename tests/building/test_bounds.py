@@ -132,13 +132,33 @@ def test_traces_and_single_steps():
     simulator.begin_trial(lane, 0, 2, 0)
     for odd in (*lanes, *ODD):
         must_refuse_or_work(simulator.step, learner=learner, lane=odd)
-        must_refuse_or_work(simulator.observe, lane=odd)
         must_refuse_or_work(simulator.begin_trial, lane=odd, seed=0, stage=2, trial=0)
-        must_refuse_or_work(simulator.act, learner=learner, lane=odd, outputs=[0] * 5)
     for odd in (*learners, *ODD):
         must_refuse_or_work(simulator.step, learner=odd, lane=lane)
-    for outputs in (*ODD, [44] * 5, [-1] * 5, [0.5] * 5, [0] * 4, [None] * 5, np.full(5, 2**40), np.full(5, np.nan)):
-        must_refuse_or_work(simulator.act, learner=learner, lane=lane, outputs=outputs)
+
+
+def test_steered_simulations():
+    simulator = HUNT.simulator
+    rewards = {"progress_reward": 1.0, "loss_reward": -1.0, "success_reward": 1.0, "signal_weight": 0.0}
+    drive(simulator.steered, {"n": 2, **rewards}, (*ODD, 0, 2**40))
+    steered, learner = simulator.steered(2, **rewards), simulator.learner(TASK, LEARNER, learn=False)
+    other = Mission(generate(seed=3), "10+5").simulator.steered(2, **rewards)
+    numbers = np.arange(2)
+    for odd in (other, *ODD):
+        must_refuse_or_work(simulator.seed_steered, steered=odd, seeds=[0, 1], stage=2)
+        must_refuse_or_work(simulator.begin_steered, steered=odd, which=numbers)
+        must_refuse_or_work(simulator.step_steered, learner=learner, steered=odd)
+    for odd in (*ODD, [0], [0, 2**63], [0, -1], [0.5, 1]):
+        must_refuse_or_work(simulator.seed_steered, steered=steered, seeds=odd, stage=2)
+    for odd in (*ODD, np.array([2]), np.array([-1]), np.array([0.0]), np.array([[0]])):
+        must_refuse_or_work(simulator.begin_steered, steered=steered, which=odd)
+    simulator.begin_steered(steered, numbers)
+    for odd in (simulator.learner(search_only(TASK), LEARNER), *ODD):
+        must_refuse_or_work(simulator.step_steered, learner=odd, steered=steered)
+    for output in (44, -1, 2**40):
+        steered.outputs[1, 3] = output
+        with pytest.raises(TaskliftError, match="from 0 to 43"):
+            simulator.step_steered(learner, steered)
 
 
 def test_policies_and_tasks():

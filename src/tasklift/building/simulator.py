@@ -22,7 +22,7 @@ from tasklift.building.outcomes import SearchOutcomes, Trace
 from tasklift.building.search import hostile_candidates
 from tasklift.building.setting import Setting
 from tasklift.building.variables import Sensor
-from tasklift.checks import LARGEST_WHOLE, one_of, whole_number
+from tasklift.checks import LARGEST_WHOLE, number, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
@@ -236,10 +236,25 @@ class Simulator:
 
     def _check(self, learner: object, lane: Any) -> None:
         self._check_lane(lane)
-        if not isinstance(learner, layout.Learner) or learner.signal.shape != lane.weights.shape:
+        self._check_learner(learner, lane.weights.shape)
+
+    def _check_learner(self, learner: object, shape: tuple[int, ...]) -> None:
+        if not isinstance(learner, layout.Learner) or learner.signal.shape != shape:
             raise TaskliftError("step: expected the learner of a task whose table has the shape of the lane's weights")
         if len(learner.rows) != self.mission.task.shape[0]:
             raise TaskliftError("step: expected a learner that this simulator's `learner` compiled")
+
+    def _check_steered(self, steered: object) -> int:
+        """Return the number of simulations, or refuse what :meth:`steered` of such a simulator did not allocate."""
+        sizes = self.mission.n_robots, len(self.world.nodes), self.mission.building.n_edges, *self.mission.task.shape
+        if not isinstance(steered, layout.Steered) or sizes != (
+            steered.rows.shape[1],
+            steered.lanes.sites.shape[1],
+            steered.lanes.visited.shape[1],
+            *steered.lanes.weights.shape[1:],
+        ):
+            raise TaskliftError("simulator: expected what this simulator's `steered` allocated")
+        return len(steered.state)
 
     def _check_lane(self, lane: object) -> None:
         """Refuse what was not allocated by :meth:`lane` of a simulator of these sizes."""
@@ -389,7 +404,9 @@ class Simulator:
             messages=column["messages"],
         )
 
-    def steered(self, n: int, *, progress: float, loss: float, success: float, signal: float) -> layout.Steered:
+    def steered(
+        self, n: int, *, progress_reward: float, loss_reward: float, success_reward: float, signal_weight: float
+    ) -> layout.Steered:
         """Allocate ``n`` simulations side by side, whose robots are steered from outside.
 
         The mission's reading must have ``decide="robot"`` and ``patience=1``, so that everyone decides in every step.
@@ -398,15 +415,13 @@ class Simulator:
         ----------
         n
             Number of simulations.
-        progress
-            Reward of all who live, shared out over the mission's work: every edge that somebody is the first to travel,
-            room that is searched and hostile that is destroyed gives an equal part.
-        loss
-            Reward of a robot that takes part in a failed attack.
-        success
-            Reward of all who are left at the end of a success, × (1 − steps / (2 × limit)).
-        signal
-            Weight of the task's local signals among the rewards.
+        progress_reward, loss_reward, success_reward, signal_weight
+            What a step is rewarded with: see :class:`tasklift.envs.batch.Rewards`.
+
+        Raises
+        ------
+        TaskliftError
+            For numbers out of range.
         """
         whole_number(n, "steered, n", 1, 1_000_000)
         one = self.lane(self.mission.task.shape)
@@ -417,7 +432,13 @@ class Simulator:
             lanes=lanes,
             keys=np.zeros((n, 2), np.uint64),
             trials=np.full(n, -1, np.int64),
-            pay=_records(layout.PAY, progress=[progress], loss=[loss], success=[success], signal=[signal]),
+            pay=_records(
+                layout.PAY,
+                progress=[number(progress_reward, "progress_reward")],
+                loss=[number(loss_reward, "loss_reward")],
+                success=[number(success_reward, "success_reward")],
+                signal=[number(signal_weight, "signal_weight")],
+            ),
             outputs=np.zeros(robots, np.int64),
             state=np.full(n, FAILURE, np.int64),
             rows=np.zeros(robots, np.int64),
@@ -427,12 +448,32 @@ class Simulator:
         )
 
     def seed_steered(self, steered: layout.Steered, seeds: Sequence[int], stage: int) -> None:
-        """Give every simulation a random key; its next trial is number 0."""
+        """Give every simulation a random key; its next trial is number 0.
+
+        Raises
+        ------
+        TaskliftError
+            For simulations of another simulator, or seeds that are not one whole number for each.
+        """
+        n = self._check_steered(steered)
+        if not isinstance(seeds, list | tuple) or len(seeds) != n:
+            raise TaskliftError(f"seeds: expected one for each of {n} simulations, found {shown(seeds)}")
         steered.keys[:] = [self.keys(seed, stage) for seed in seeds]
         steered.trials[:] = -1
 
     def begin_steered(self, steered: layout.Steered, which: NDArray[np.int64]) -> None:
-        """Begin the next trial of the simulations with the numbers ``which``, int64 (k,)."""
+        """Begin the next trial of the simulations with the numbers ``which``, int64 (k,).
+
+        Raises
+        ------
+        TaskliftError
+            For simulations of another simulator, or numbers that they do not have.
+        """
+        n = self._check_steered(steered)
+        if not isinstance(which, np.ndarray) or which.dtype != np.int64 or which.ndim != 1:
+            raise TaskliftError(f"begin: expected the numbers of simulations, found {_described(which)}")
+        if len(which) and not 0 <= which.min() <= which.max() < n:
+            raise TaskliftError(f"begin: expected numbers from 0 to {n - 1}, found {shown(which)}")
         with _patience(self.kernel.begin_many, self.mission.inputs):
             self.kernel.begin_many(self.world, self.rules, steered, which)
 
@@ -444,8 +485,10 @@ class Simulator:
         Raises
         ------
         TaskliftError
-            For output numbers that the task has not.
+            For simulations or a learner of another simulator, and output numbers that the task does not have.
         """
+        self._check_steered(steered)
+        self._check_learner(learner, self.mission.task.shape)
         last = len(learner.outputs) - 1
         if steered.outputs.view(np.uint64).max() > last:  # a negative number is a large one there
             raise TaskliftError(f"step: expected output numbers from 0 to {last}, found {shown(steered.outputs)}")

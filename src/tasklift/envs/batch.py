@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.mission import Mission
 from tasklift.building.simulator import FAILURE, SUCCESS
-from tasklift.checks import number, one_of
+from tasklift.checks import one_of
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
@@ -47,10 +47,6 @@ class Rewards:
     loss_reward: float = -1.5
     success_reward: float = 2.0
     signal_weight: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            number(value, name)
 
     @classmethod
     def of(cls, settings: dict[str, Any]) -> Rewards:
@@ -92,13 +88,7 @@ class Batch:
         self.mission = mission.with_reading(decide="robot", patience=1)
         self._simulator = self.mission.simulator
         self._learner = self._simulator.learner(mission.task, Reinforcement(), learn=False)
-        self._steered = self._simulator.steered(
-            n,
-            progress=rewards.progress_reward,
-            loss=rewards.loss_reward,
-            success=rewards.success_reward,
-            signal=rewards.signal_weight,
-        )
+        self._steered = self._simulator.steered(n, **asdict(rewards))
         self.rows, self.alive, self.lost = self._steered.rows, self._steered.alive, self._steered.lost
         self.rewards, self.state, self.lanes = self._steered.rewards, self._steered.state, self._steered.lanes
         self.begun = False

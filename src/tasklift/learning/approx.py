@@ -389,14 +389,13 @@ class _Trees:
     """A regression tree for each output."""
 
     def __init__(self, task: Task, leaf: int) -> None:
-        self.leaf, self.trees = leaf, [_Zero(1)] * task.shape[1]
+        self.leaf, self.outputs = leaf, range(task.shape[1])
+        self.trees: list[Regressor] = [_Zero(1) for _ in self.outputs]
 
     def fit(self, memory: _Memory, missing: Floats, updates: int) -> None:
         """Fit all trees anew."""
-        self.trees = [self._tree(memory.before[chosen], missing[chosen]) for chosen in self._by_output(memory)]
-
-    def _by_output(self, memory: _Memory) -> list[NDArray[np.bool_]]:
-        return [memory.output == output for output in range(len(self.trees))]
+        chosen = [memory.output == output for output in self.outputs]
+        self.trees = [self._tree(memory.before[those], missing[those]) for those in chosen]
 
     def _tree(self, positions: Positions, missing: Floats) -> Regressor:
         return _Zero(1) if len(positions) < self.leaf else _Tree(positions, missing[:, None], None, self.leaf)

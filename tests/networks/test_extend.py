@@ -335,6 +335,16 @@ def test_tasks_of_other_lineages_are_refused() -> None:
         extend_module(mlp(6, 8), SOURCE, paper_task())
 
 
+def test_merged_values_are_extended_where_the_network_sees_a_flat_input() -> None:
+    walk = Task("walk", (Variable("place", range(4)),), (Variable("move", (0, 1)),))
+    coarse = walk.simplify(merge={"place": [[0, 3]]})
+    net = nn.Sequential(nn.Embedding(3, 5), nn.Linear(5, 2))
+    wide = extend_module(net, coarse, walk, encoding="flat")
+    assert torch.equal(wide(torch.tensor([0, 1, 2, 3])), net(torch.tensor([0, 1, 2, 0])))
+    with pytest.raises(TaskliftError, match="values of 'place' are merged"):
+        extend_module(mlp(3, 2), coarse, walk)
+
+
 def test_the_papers_tasks() -> None:
     task = search_and_clear()
     source = search_only(task)

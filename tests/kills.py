@@ -167,8 +167,8 @@ def stopped(name: str, rounds: int, stops: int = 3) -> str:
         expected, took = contents(unbroken), finish(words, shutil.copytree(base, Path(scratch) / "again" / "w"))
         for number in range(rounds):
             folder = shutil.copytree(base, Path(scratch) / str(number) / "w")
-            for signal_ in rng.sample([signal.SIGKILL, signal.SIGTERM, signal.SIGINT], stops):
-                if stop(words, folder, signal_, rng.uniform(0, took)):
+            for k, signal_ in enumerate(rng.sample([signal.SIGKILL, signal.SIGTERM, signal.SIGINT], stops)):
+                if stop(words, folder, signal_, rng.uniform(0, took / (k + 1))):  # less is left to do each time
                     came[signal_.name] += 1
                 else:
                     break

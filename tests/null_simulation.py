@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tasklift import stats
 from tasklift.learning.guard import SequentialTest
+from tasklift.studies.multiverse.study import draw, main_effects
 
 Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
 
@@ -140,6 +141,16 @@ def guard_verdicts(draw: Draw, pairs: int, *, draws: int, shift: float = 0.0) ->
     return found.count("helps") / draws, found.count("hurts") / draws
 
 
+def deciding_errors(verdicts: Sequence[float], *, draws: int) -> float:
+    """Return how often a multiverse of 500 readings names an option that decides, where none does.
+
+    ``verdicts``: the shares of *does not hold*, *undecided* and *holds*, for 16 claims that no option changes.
+    """
+    rng, levels = np.random.default_rng(1), draw(500)
+    outcomes = (rng.choice([-1.0, 0.0, 1.0], p=verdicts, size=(500, 16)) for _ in range(draws))
+    return sum(main_effects(outcome, levels, resamples=2).decides.any() for outcome in outcomes) / draws
+
+
 def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     print(f"\n{title}\n")
     for row in [columns, ["---"] * len(columns), *rows]:
@@ -180,6 +191,8 @@ def main(draws: int, resamples: int = 999) -> None:
         for name, draw in NULLS.items()
     ]
     _table("Bands of curves: trials missed (%)", ["values", *names], bands)
+    mixed, rare = (percent(deciding_errors(shares, draws=draws // 20)) for shares in ((0.2, 0.5, 0.3), (0, 0.95, 0.05)))
+    _table("Multiverses that name an option (%)", ["mixed verdicts", "rare ones"], [[mixed, rare]])
     columns = [f"{pairs} pairs" for pairs in PAIRS]
     guarded = []
     for name in ("normal", "lognormal", "zero-inflated"):

@@ -137,6 +137,8 @@ def test_an_edit_that_does_not_apply_says_why(line: str, part: str) -> None:
         (f"{HEADER}\nremove everything", "line 2: no edit begins like"),
         (f"{HEADER}\n\n# x\ndrop node at 1", "line 4: cannot read"),
         (f"{HEADER}\ndrop node at 1.2.3 4", "is not a number"),
+        (f"{HEADER}\ndrop node 1.5", "cannot read"),
+        (f"{HEADER}\nadd door at node {'7' * 5000}", "cannot read"),
         (f"{HEADER}\nset class at 1 2 to room area x", "cannot read"),
     ],
 )

@@ -297,6 +297,7 @@ def test_nothing_of_the_users_is_overwritten(tmp_path: Path, monkeypatch: pytest
     run("import", "office.yaml")
     assert {"office.json", "office-graph.png"} <= {path.name for path in tmp_path.iterdir()}
     first = (tmp_path / "office.json").read_bytes()
+    (tmp_path / "office.edits").write_text("tasklift-edits 1\n")
     for arguments in (
         ("import", "office.yaml"),
         ("import", "office.yaml", "-o", "other.json", "--overlay", "office.png", "--force"),
@@ -308,6 +309,8 @@ def test_nothing_of_the_users_is_overwritten(tmp_path: Path, monkeypatch: pytest
         ("generate", "-o", "office.json"),
         ("show", "office.json", "-o", "office.png"),
         ("show", "office.json", "-o", "office.json", "--force"),
+        ("show", "office.json", "-o", "office.png", "--plan", "office.yaml", "--force"),
+        ("edit", "office.json", "office.edits", "-o", "other.json", "--places", "other.json"),
     ):
         with pytest.raises(TaskliftError):
             run(*arguments)

@@ -58,7 +58,7 @@ Points = NDArray[np.float64]
 Corridor = tuple[float, float, Points]
 STRAIGHT: Points = np.zeros((0, 2))
 
-_PLACE = r"(node|-?[\d.]+(?:[eE][-+]?\d+)?)\s+(-?[\d.]+(?:[eE][-+]?\d+)?)"
+_PLACE = r"(node(?=\s+\d{1,9}(?!\S))|-?[\d.]+(?:[eE][-+]?\d+)?)\s+(-?[\d.]+(?:[eE][-+]?\d+)?)"
 _NUMBER = r"([\d.]+)"
 _CLASSES = {name: (FEATURE, value) for value, name in CLASS_NAMES.items()}
 _CLASSES |= {"room": (ROOM, NONE), "intersection": (INTERSECTION, NONE)}

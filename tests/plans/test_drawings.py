@@ -16,6 +16,8 @@ from tasklift.plans.importing import import_map
 
 Points = np.ndarray
 DOOR_M = 0.9
+# Styles with both faces of walls, 20 cm apart
+THICK = ("outlines", "two faces", "double leaves", "entrance")
 # Three rooms of 4 x 4 m on both sides of a corridor that is 2 m wide; walls are lines between them.
 ROOMS = [(4.0 * i, y, 4.0 * i + 4, y + 4.0) for y in (2.0, -4.0) for i in range(3)]
 CORRIDOR = (0.0, 0.0, 12.0, 2.0)
@@ -58,11 +60,15 @@ def imported(tmp_path: Path, style: str, turn: float, mirrored: bool = False, un
         into.add_lwpolyline((move(points) * unit).tolist(), dxfattribs={"layer": layer})
 
     plain = style == "one layer"
-    inset = 0.1 if style in ("outlines", "two faces") else 0.0
+    inset = 0.1 if style in THICK else 0.0
     walls = [outline(*box, inset=inset) for box in (*ROOMS, CORRIDOR)]
     if style in ("gaps", "one layer"):
         walls = with_gaps(walls)
-    elif style == "two faces":
+    elif style == "entrance":
+        frame = shapely.difference(shapely.LineString(outline(-0.1, -4.1, 12.1, 6.1)), shapely.box(-0.2, 0.5, 0.2, 1.5))
+        inner = shapely.difference(shapely.LineString(walls.pop()), shapely.box(-0.2, 0.5, 0.2, 1.5))
+        walls += [shapely.get_coordinates(part) for part in shapely.get_parts([frame, inner])]
+    elif style in THICK:
         walls.append(outline(-0.1, -4.1, 12.1, 6.1))
     for wall in walls:
         line(wall, "0" if plain else "Raum" if style == "outlines" else "A-WALL")
@@ -71,6 +77,9 @@ def imported(tmp_path: Path, style: str, turn: float, mirrored: bool = False, un
         leaf, arc = leaf_and_arc(hinge, swing)
         if style == "lines in walls":
             line(np.array([hinge, np.add(hinge, (DOOR_M, 0))]), "Türen")
+        elif style == "double leaves":
+            for side, post in ((1, hinge), (-1, np.add(hinge, (DOOR_M, 0)))):
+                line(post + (arc - hinge) * (side / 2, 0.5), "A-DOOR")
         elif style in ("two faces", "lines"):
             block = drawing.blocks.new(f"DOOR_{i}")  # named so; its entities and its layer are 0
             for points in (leaf, arc):
@@ -84,17 +93,17 @@ def imported(tmp_path: Path, style: str, turn: float, mirrored: bool = False, un
     return import_map(path)[0]
 
 
-def check(building: Building, area_m2: float) -> None:
+def check(building: Building, area_m2: float, doors: int = 6) -> None:
     rooms = building.area_m2[building.kind == ROOM]
     assert len(rooms) == 6
     assert np.allclose(rooms, area_m2, rtol=0.08)
-    assert int((building.feature_class == DOOR).sum()) == 6
+    assert int((building.feature_class == DOOR).sum()) == doors
 
 
-@pytest.mark.parametrize("style", ["gaps", "one layer", "outlines", "two faces", "lines", "lines in walls"])
+@pytest.mark.parametrize("style", ["gaps", "one layer", "lines", "lines in walls", *THICK])
 @pytest.mark.parametrize(("turn", "mirrored", "unit"), [(90, True, 1), (17, False, 1000)])
 def test_styles_of_drawings(tmp_path: Path, style: str, turn: float, mirrored: bool, unit: float) -> None:
-    check(imported(tmp_path, style, turn, mirrored, unit), 14.2 if style in ("outlines", "two faces") else 15.5)
+    check(imported(tmp_path, style, turn, mirrored, unit), 14.2 if style in THICK else 15.5, 6 + (style == "entrance"))
 
 
 def test_layers_that_the_user_names(tmp_path: Path) -> None:

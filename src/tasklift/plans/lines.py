@@ -14,7 +14,8 @@ from tasklift.plans.source import Source
 RESOLUTIONS_M = (0.05, 0.1)
 MOST_CELLS = 17_000_000
 WALL_M = 0.1
-MARGIN_M = 1.0
+# Around what is drawn; where the outdoors is not known to be no floor, wide enough not to look like a corridor.
+MARGIN_M, OUTDOORS_M = 1.0, 4.0
 DEEP_M = 0.35  # an opening reaches so far to both sides
 
 Points = NDArray[np.float64]
@@ -55,7 +56,8 @@ def plan_of_lines(
     from PIL import Image, ImageDraw
 
     points = np.concatenate([*walls, *floors])
-    low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
+    margin = MARGIN_M if len(floors) else OUTDOORS_M
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     for resolution in RESOLUTIONS_M:
         width, height = (float(v) for v in np.ceil((high - low) / resolution))
         if width * height <= MOST_CELLS:

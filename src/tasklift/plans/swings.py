@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tasklift.plans.lines import Points
 
 # A leaf is so long (m), and opens so far (degrees).
-SHORTEST_LEAF_M, LONGEST_LEAF_M = 0.5, 1.6
+SHORTEST_LEAF_M, LONGEST_LEAF_M = 0.35, 1.6
 LEAST_SWING, MOST_SWING = 55.0, 110.0
 # An arc's points lie on its circle up to this part of its radius.
 ROUND = 0.02

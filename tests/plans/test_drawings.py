@@ -12,6 +12,7 @@ import shapely
 
 from tasklift.building.graph import DOOR, ROOM, Building
 from tasklift.errors import TaskliftError
+from tasklift.plans.check import node_lines
 from tasklift.plans.importing import import_map
 
 Points = np.ndarray
@@ -183,8 +184,8 @@ def test_indoor_tagging(tmp_path: Path, style: str, turn: float) -> None:
         corridor_doors = []
     for at in (*room_doors, *corridor_doors):
         drawn.node(*at, door="hinged", level="1;2")
-    for box in ROOMS:
-        drawn.way(outline(*box, inset=inset), room_doors, indoor="room", level="1-2")
+    for i, box in enumerate(ROOMS):
+        drawn.way(outline(*box, inset=inset), room_doors, indoor="room", level="1-2", name=f"Room {i}")
     x, y, to_x, to_y = CORRIDOR
     for start, end in [(x, 4.0), (4.0, to_x)] if style == "corridor in pieces" else [(x, to_x)]:
         piece = outline(start, y, end, to_y, inset=inset)
@@ -193,7 +194,14 @@ def test_indoor_tagging(tmp_path: Path, style: str, turn: float) -> None:
     path = drawn.save(tmp_path / "house.osm")
     with pytest.raises(TaskliftError, match=r"has the levels '-1', '0', '1', '2'; choose one with --level"):
         import_map(path)
-    check(import_map(path, level="2")[0], 14.2 if inset else 15.5)
+    building, _ = import_map(path, level="2")
+    check(building, 14.2 if inset else 15.5)
+    names = building.provenance["names"]
+    assert sorted(names.values()) == [f"Room {i}" for i in range(6)]
+    middles = np.array([building.position_m[int(node)] for node, _ in sorted(names.items(), key=lambda item: item[1])])
+    apart = np.hypot(*np.diff(middles, axis=0).T)
+    assert np.allclose(apart[[0, 1, 3, 4]], 4, atol=0.3)  # rooms of a row, in their order
+    assert any("'Room 3'" in line for line in node_lines(building))
 
 
 def test_a_corridor_around_a_courtyard_and_a_doorway_without_a_door(tmp_path: Path) -> None:

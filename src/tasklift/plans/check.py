@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasklift.building.graph import CLASS_NAMES, DOOR, FEATURE, INTERSECTION, KIND_NAMES, OTHER, ROOM, Building
+from tasklift.text import shown
 
 SHORTEST_EDGE_M = 0.3
 NEAREST_NODES_M = 0.4
@@ -241,6 +242,8 @@ def _small_loops(building: Building) -> list[list[int]]:
 def node_lines(building: Building) -> list[str]:
     """One line per node: its number, place (m), kind, and neighbours; what one needs to write edits."""
     lines = []
+    names = building.provenance.get("names")
+    names = names if isinstance(names, dict) else {}
     for node in range(building.n_nodes):
         x, y = building.position_m[node].tolist()
         kind = KIND_NAMES[building.kind[node]]
@@ -248,5 +251,6 @@ def node_lines(building: Building) -> list[str]:
             kind = CLASS_NAMES.get(int(building.feature_class[node]), CLASS_NAMES[OTHER])
         near = building.neighbour[building.indptr[node] : building.indptr[node + 1]].tolist()
         area = f"  {building.area_m2[node]:.1f} m²" if building.kind[node] == ROOM else ""
-        lines.append(f"{node:5d}  {x:9.2f} {y:9.2f}  {kind:<12} to {' '.join(map(str, near))}{area}")
+        name = f"  {shown(names[str(node)])}" if str(node) in names else ""
+        lines.append(f"{node:5d}  {x:9.2f} {y:9.2f}  {kind:<12} to {' '.join(map(str, near))}{area}{name}")
     return lines

@@ -44,6 +44,8 @@ class Plan:
         be found.
     seeds_m
         ``float64 (n, 2)``: points (m) that lie in the building, or ``None``.
+    names
+        Names of rooms, each with a point (m) in it, where the file has them.
     lifts, elevation_m
         The lifts on this level and its height (m), of a building with several levels.
     """
@@ -57,6 +59,7 @@ class Plan:
     doubts: tuple[str, ...] = ()
     doors_m: NDArray[np.float64] | None = None
     seeds_m: NDArray[np.float64] | None = None
+    names: tuple[tuple[str, tuple[float, float]], ...] = ()
     lifts: tuple[Lift, ...] = ()
     elevation_m: float = 0.0
 

@@ -6,7 +6,7 @@ corridors from the skeleton of the rest (:mod:`tasklift.plans.extract.corridors`
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,11 +181,23 @@ def _to_building(
         length_m=np.array(lengths),
         width_m=np.array(widths),
         start=choose_start(plan.name, kind, position, start),
-        provenance={"source": plan.name, "resolution_m": plan.resolution_m},
+        provenance={"source": plan.name, "resolution_m": plan.resolution_m} | _names(plan, division, room),
         course_m=tuple(ways),
     )
     doubts = [*plan.doubts, *space.doubts]
     return building, doubts
+
+
+def _names(plan: Plan, division: Division, room: Sequence[int]) -> dict[str, dict[str, str]]:
+    """What the plan calls the rooms, by node; ``room`` has the region of each node that is one, and 0 for others."""
+    if not plan.names:
+        return {}
+    cells = np.floor(division.space.to_cells(plan.to_pixels(np.array([at for _, at in plan.names]))) + 0.5).astype(int)
+    inside: NDArray[np.bool_] = ((cells >= 0) & (cells < division.region.shape)).all(axis=1)
+    node_of = {region: node for node, region in enumerate(room) if region}
+    regions = [int(division.region[tuple(cell)]) if within else 0 for cell, within in zip(cells, inside, strict=True)]
+    pairs = zip(regions, plan.names, strict=True)
+    return {"names": {str(node_of[region]): name for region, (name, _) in pairs if region in node_of}}
 
 
 def choose_start(name: str, kind: NDArray[np.int8], position: Points, start: tuple[float, float] | int | None) -> int:

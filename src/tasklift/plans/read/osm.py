@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from xml.etree.ElementTree import Element
 
@@ -82,16 +82,20 @@ def read(source: Source) -> Plan:
             f"is OpenStreetMap XML, and no door leads into a room of level {shown(level)} ({len(floors)} in all); map "
             "doors (door=* on a node of a room's outline)"
         )
-    return plan_of_lines(
+    inner = _inner_points(floors)
+    named = [plain_name(way.tags.get("name") or way.tags.get("ref") or "") for way in here if way.is_area]
+    plan = plan_of_lines(
         source,
         f"{source.path.stem} {plain_name(level)}",
         _walls(here, at) or floors,
         floors,
         doors=doors if len(doors) else None,
         openings=openings,
-        seeds=_inner_points(floors) if floors else None,
+        seeds=inner if floors else None,
         doubts=[] if len(doors) else ["no doors are mapped (door=* on a node of a room's outline)"],
     )
+    names = [(name, (x, y)) for name, (x, y) in zip(named, inner.tolist(), strict=True) if name]
+    return replace(plan, names=tuple(names))
 
 
 def _tags(element: Element) -> dict[str, str]:
@@ -227,4 +231,4 @@ def _inner_points(floors: list[Points]) -> NDArray[np.float64]:
     """A point in each area ``(n, 2)``."""
     import shapely
 
-    return shapely.get_coordinates([shapely.Polygon(floor).representative_point() for floor in floors])
+    return shapely.get_coordinates([shapely.Polygon(floor).representative_point() for floor in floors]).reshape(-1, 2)

@@ -193,11 +193,13 @@ def _names(plan: Plan, division: Division, room: Sequence[int]) -> dict[str, dic
     if not plan.names:
         return {}
     cells = np.floor(division.space.to_cells(plan.to_pixels(np.array([at for _, at in plan.names]))) + 0.5).astype(int)
-    inside: NDArray[np.bool_] = ((cells >= 0) & (cells < division.region.shape)).all(axis=1)
     node_of = {region: node for node, region in enumerate(room) if region}
-    regions = [int(division.region[tuple(cell)]) if within else 0 for cell, within in zip(cells, inside, strict=True)]
-    pairs = zip(regions, plan.names, strict=True)
-    return {"names": {str(node_of[region]): name for region, (name, _) in pairs if region in node_of}}
+    found = {}
+    for (row, column), (name, _) in zip(cells.tolist(), plan.names, strict=True):
+        if 0 <= row < division.region.shape[0] and 0 <= column < division.region.shape[1]:
+            region = int(division.region[row, column])
+            found |= {str(node_of[region]): name} if region in node_of else {}
+    return {"names": found}
 
 
 def choose_start(name: str, kind: NDArray[np.int8], position: Points, start: tuple[float, float] | int | None) -> int:

@@ -194,7 +194,7 @@ def _names(plan: Plan, division: Division, room: Sequence[int]) -> dict[str, dic
         return {}
     cells = np.floor(division.space.to_cells(plan.to_pixels(np.array([at for _, at in plan.names]))) + 0.5).astype(int)
     node_of = {region: node for node, region in enumerate(room) if region}
-    found = {}
+    found: dict[str, str] = {}
     for (row, column), (name, _) in zip(cells.tolist(), plan.names, strict=True):
         if 0 <= row < division.region.shape[0] and 0 <= column < division.region.shape[1]:
             region = int(division.region[row, column])

@@ -302,18 +302,19 @@ def learn_approximate(
     current = base
     collector, chances = _Collector(world, full), Chances(seed, stage)
     learner = _Trees(full, leaf) if kind == "tree" else _Perceptron(full, hidden, seed)
-    for number in range(rounds):
-        known = len(collector.steps)
-        for i in range(trials):
-            collector.trial(current, chances.of(number * trials + i), epsilon)
-        memory = collector.memory()
-        met = None if start is None else _met(full, memory)
-        base_now = base.rows(memory.before)[np.arange(len(memory.output)), memory.output]
-        updates = -(-(len(memory.output) - known) // sweeps)
-        for _ in range(sweeps):
-            ahead = np.where(memory.ended, 0.0, current.rows(memory.after).max(axis=1))
-            learner.fit(memory, memory.reward + discount * ahead - base_now, updates)
-            current = Approximation(full, _Corrected(base, learner, met), "value")
+    with _one_thread():
+        for number in range(rounds):
+            known = len(collector.steps)
+            for i in range(trials):
+                collector.trial(current, chances.of(number * trials + i), epsilon)
+            memory = collector.memory()
+            met = None if start is None else _met(full, memory)
+            base_now = base.rows(memory.before)[np.arange(len(memory.output)), memory.output]
+            updates = -(-(len(memory.output) - known) // sweeps)
+            for _ in range(sweeps):
+                ahead = np.where(memory.ended, 0.0, current.rows(memory.after).max(axis=1))
+                learner.fit(memory, memory.reward + discount * ahead - base_now, updates)
+                current = Approximation(full, _Corrected(base, learner, met), "value")
     return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
 
 
@@ -407,7 +408,7 @@ class _Trees:
 class _Perceptron:
     """One network for all outputs, which goes on from where it is; scikit-learn's."""
 
-    batch = 128
+    batch = 64
 
     def __init__(self, task: Task, hidden: Sequence[int], seed: int) -> None:
         self.task, self.rng = task, np.random.default_rng(seed)
@@ -559,6 +560,14 @@ class _Extended:
         assert places is not None
         local = places[positions][:, None]
         return local if (local >= 0).all() else np.where(local >= 0, local, np.arange(len(variable)))
+
+
+def _one_thread() -> Any:
+    """Return a context in which small matrices are not shared out to threads, which costs more than it brings."""
+    _sklearn("base")  # it brings threadpoolctl
+    from threadpoolctl import threadpool_limits
+
+    return threadpool_limits(1, user_api="blas")
 
 
 def _sklearn(module: str) -> Any:

@@ -250,7 +250,7 @@ def learn_approximate(
 ) -> ApproximateCurve:
     """Learn by fitted Q iteration (Ernst, Geurts & Wehenkel, JMLR 2005): no table, only what was met.
 
-    Each round runs trials with ε-greedy choice, then fits, for each output, a correction to the start's weights. Where
+    Each round runs trials with ε-greedy choice, then fits the weights, which may depend on the start's. Where
     there is no experience, what was transferred stays: an input's weight for an output changes only if each of the
     input's values was met with that output. Without a start, the fit holds for all inputs. A network takes as many
     gradient steps in a round as there were steps of experience.
@@ -301,7 +301,7 @@ def learn_approximate(
     base = start or Approximation(full, _Zero(full.shape[1]))
     current = base
     collector, chances = _Collector(world, full), Chances(seed, stage)
-    learner = _Trees(full, leaf) if kind == "tree" else _Perceptron(full, hidden, seed)
+    learner: _Trees | _Perceptron = _Trees(full, leaf) if kind == "tree" else _Perceptron(full, hidden, seed)
     with _one_thread():
         for number in range(rounds):
             known = len(collector.steps)
@@ -309,11 +309,11 @@ def learn_approximate(
                 collector.trial(current, chances.of(number * trials + i), epsilon)
             memory = collector.memory()
             met = None if start is None else _met(full, memory)
-            base_now = base.rows(memory.before)[np.arange(len(memory.output)), memory.output]
+            base_now = base.rows(memory.before)
             updates = -(-(len(memory.output) - known) // sweeps)
             for _ in range(sweeps):
                 ahead = np.where(memory.ended, 0.0, current.rows(memory.after).max(axis=1))
-                learner.fit(memory, memory.reward + discount * ahead - base_now, updates)
+                learner.fit(memory, base_now, memory.reward + discount * ahead, updates)
                 current = Approximation(full, _Corrected(base, learner, met), "value")
     return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
 
@@ -387,26 +387,35 @@ def _met(task: Task, memory: _Memory) -> list[NDArray[np.bool_]]:
 
 
 class _Trees:
-    """A regression tree for each output."""
+    """A regression tree for each output, which sees the start's weight beside the input.
+
+    It can so keep what the start knows and split off where that is wrong. A tree of corrections could not: where the
+    right output is the other one, a correction is positive as often as negative on each side of the first split.
+    """
 
     def __init__(self, task: Task, leaf: int) -> None:
-        self.leaf, self.outputs = leaf, range(task.shape[1])
-        self.trees: list[Regressor] = [_Zero(1) for _ in self.outputs]
+        self.leaf = leaf
+        self.trees: list[_Tree | None] = [None] * task.shape[1]
 
-    def fit(self, memory: _Memory, missing: Floats, updates: int) -> None:
+    def fit(self, memory: _Memory, base: Floats, targets: Floats, updates: int) -> None:
         """Fit all trees anew."""
-        chosen = [memory.output == output for output in self.outputs]
-        self.trees = [self._tree(memory.before[those], missing[those]) for those in chosen]
+        for output in range(len(self.trees)):
+            those = memory.output == output
+            if those.sum() >= self.leaf:
+                seen = np.column_stack([memory.before[those], base[those, output]])
+                self.trees[output] = _Tree(seen, targets[those, None], None, self.leaf)
 
-    def _tree(self, positions: Positions, missing: Floats) -> Regressor:
-        return _Zero(1) if len(positions) < self.leaf else _Tree(positions, missing[:, None], None, self.leaf)
-
-    def rows(self, positions: Positions) -> Floats:
-        return np.hstack([tree.rows(positions) for tree in self.trees])
+    def rows(self, positions: Positions, base: Floats) -> Floats:
+        """Return the weights of inputs for which the start has the weights ``base``, both (n, A)."""
+        columns = [
+            base[:, output] if tree is None else tree.rows(np.column_stack([positions, base[:, output]]))[:, 0]
+            for output, tree in enumerate(self.trees)
+        ]
+        return np.stack(columns, axis=1)
 
 
 class _Perceptron:
-    """One network for all outputs, which goes on from where it is; scikit-learn's."""
+    """One network of corrections for all outputs, which sees the start's weights and goes on from where it is."""
 
     batch = 64
 
@@ -417,14 +426,19 @@ class _Perceptron:
         )
         self.scale = 0.0
 
-    def fit(self, memory: _Memory, missing: Floats, updates: int) -> None:
+    def fit(self, memory: _Memory, base: Floats, targets: Floats, updates: int) -> None:
         """Take gradient steps on experience drawn at random; what an output was not tried for stays as it is."""
+        missing = targets - base[np.arange(len(targets)), memory.output]
         drawn = self.rng.integers(len(missing), size=updates * self.batch)
-        where = memory.before[drawn]
-        targets = self.rows(where)
-        targets[np.arange(len(drawn)), memory.output[drawn]] = missing[drawn]
+        where, there = memory.before[drawn], base[drawn]
+        wanted = self._corrections(where, there)
+        wanted[np.arange(len(drawn)), memory.output[drawn]] = missing[drawn]
         self._rescale(float(np.abs(missing).max()))
-        self.network.partial_fit(_one_hot(self.task, where), _squeezed(targets / self.scale))
+        self.network.partial_fit(self._features(where, there), _squeezed(wanted / self.scale))
+
+    def _features(self, positions: Positions, base: Floats) -> Floats:
+        largest = np.maximum(1.0, np.abs(base).max(axis=1, keepdims=True))
+        return np.hstack([_one_hot(self.task, positions), base / largest])
 
     def _rescale(self, largest: float) -> None:
         """Let the network's numbers stay below about 1, and its function as it is."""
@@ -435,11 +449,15 @@ class _Perceptron:
             self.scale = largest
         self.scale = self.scale or 1.0
 
-    def rows(self, positions: Positions) -> Floats:
-        shape = (len(positions), self.task.shape[1])
+    def rows(self, positions: Positions, base: Floats) -> Floats:
+        """Return the weights of inputs for which the start has the weights ``base``, both (n, A)."""
+        return base + self._corrections(positions, base)
+
+    def _corrections(self, positions: Positions, base: Floats) -> Floats:
         if not self.scale or not len(positions):
-            return np.zeros(shape)
-        return np.asarray(self.network.predict(_one_hot(self.task, positions))).reshape(shape) * self.scale
+            return np.zeros(base.shape)
+        found = np.asarray(self.network.predict(self._features(positions, base)))
+        return found.reshape(base.shape) * self.scale
 
 
 # -- the functions themselves ----------------------------------------------------------------------------------
@@ -518,17 +536,20 @@ def _squeezed(targets: Floats) -> Floats:
 
 
 class _Corrected:
-    """A start plus a correction, where each value of an input was met with the output."""
+    """A start that is corrected where each value of an input was met with the output."""
 
-    def __init__(self, base: Approximation, correction: Regressor, met: list[NDArray[np.bool_]] | None) -> None:
-        self.base, self.correction, self.met = base, correction, met
+    def __init__(
+        self, base: Approximation, learner: _Trees | _Perceptron, met: list[NDArray[np.bool_]] | None
+    ) -> None:
+        self.base, self.learner, self.met = base, learner, met
 
     def rows(self, positions: Positions) -> Floats:
-        found = self.correction.rows(positions)
+        base = self.base.rows(positions)
+        found = self.learner.rows(positions, base)
         if self.met is not None:
             for seen, column in zip(self.met, positions.T, strict=True):
-                found = np.where(seen[column], found, 0.0)
-        return self.base.rows(positions) + found
+                found = np.where(seen[column], found, base)
+        return found
 
 
 class _Extended:

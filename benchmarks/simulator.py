@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import tasklift as tl
-from tasklift.building import kernel
 from tasklift.building.generate import generate
+from tasklift.building.graph import Building
 from tasklift.building.mission import Mission
 from tasklift.building.reading import PRESETS
 from tasklift.building.search import search_only
 from tasklift.building.team import SCOUT, WEAPON
+from tasklift.building.variables import TABLE_I
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.arms import PRIOR
 
@@ -61,7 +63,7 @@ def robot_steps(mission, task, outputs, trials, weights=None):
     def run():
         lane = simulator.lane(task.shape)
         start = np.full((1, *task.shape), 1.5) if weights is None else weights[None].copy()
-        kernel.run(
+        simulator.kernel.run(
             simulator.world, simulator.rules, learner, lane, keys, 0, fixed, -1, start, jobs, table, left, done
         )  # fmt: skip
         return int(lane.count["robot_steps"][0])
@@ -86,6 +88,31 @@ def python_overhead(mission):
     tables = np.ones((100, *short.task.shape))
     seconds, _ = best(lambda: short.evaluate(tables, 1000, threads=1))
     return 1e6 * seconds / 100_000
+
+
+def tiled(copies):
+    """Return as many copies of a building in a row, joined at their starts."""
+    one, every = generate(seed=7), np.arange(copies)
+    starts = one.start + one.n_nodes * every
+    return Building(
+        "tiled", np.tile(one.kind, copies), np.tile(one.feature_class, copies),
+        (one.position_m + 100.0 * np.stack([every, 0 * every], axis=1)[:, None]).reshape(-1, 2),
+        np.tile(one.area_m2, copies), np.tile(one.obstacles, copies),
+        np.concatenate([(one.edges + one.n_nodes * every[:, None, None]).reshape(-1, 2),
+                        np.stack([starts[:-1], starts[1:]], axis=1)]),
+        np.concatenate([np.tile(one.length_m, copies), np.full(copies - 1, 100.0)]),
+        np.concatenate([np.tile(one.width_m, copies), np.full(copies - 1, 2.0)]), start=one.start,
+    )  # fmt: skip
+
+
+def lane_cost(mission, lanes):
+    """Return seconds per episode of many policies in one call; few outputs, so that their tables fit the memory."""
+    short = replace(mission, limit=100)
+    tables = np.ones((lanes, *(task := short.task.simplify(fix={"CA": 0.5, "WPN": 0})).shape))
+    trials = max(1, 1000 // lanes)
+    key = {"stage": 2, "reinforcement": Reinforcement(), "learn": False, "threads": 1}
+    seconds, _ = best(lambda: short.run_many(task, tables, trials=trials, seeds=list(range(lanes)), **key))
+    return seconds / (lanes * trials)
 
 
 def cart_pole_rate(copies=4096, steps=50):
@@ -125,6 +152,27 @@ def oracle_rate(mission):
     return steps / (time.thread_time() - start)
 
 
+def growth(name, building, inputs):
+    """Print how the cost grows with robots, with the building and with policies in one call."""
+
+    def cost(place, team, trials, hostiles=1):
+        mission = Mission(place, team, hostiles, inputs=inputs)
+        steps, seconds = robot_steps(mission, mission.task, None, trials)
+        return seconds / steps
+
+    teams = {n: {SCOUT: n * 2 // 3, WEAPON: n - n * 2 // 3} for n in (1, 15, 60, 240, 960, 10_000)}
+    places = {place.n_nodes: place for place in map(tiled, (1, 8, 80, 232))}  # a building has at most 10,000 nodes
+    mission = Mission(building, teams[15], inputs=inputs)
+    costs = {
+        "robots": {n: cost(building, team, max(1, 1000 // n), min(1, n - 1)) for n, team in teams.items()},
+        "nodes": {n: cost(place, teams[15], 20) for n, place in places.items()},
+        "policies in one call": {n: lane_cost(mission, n) for n in (1, 100, 10_000, 100_000)},
+    }
+    for what, found in costs.items():
+        least = min(found.values())
+        print(f"{name}, cost by {what}: " + ", ".join(f"{n:,}: {c / least:.2f}" for n, c in found.items()), flush=True)
+
+
 def main():
     building = generate(seed=7)
     for name, reading in PRESETS.items():
@@ -139,21 +187,11 @@ def main():
     mission = Mission(building, {SCOUT: 10, WEAPON: 5})
     compiled, plain = rate(mission), oracle_rate(mission)
     print(f"kernel / oracle in plain Python, same rules: {compiled / plain:.0f} x")
-    base = None
-    for robots in (1, 15, 60, 240, 960, 10_000):
-        team = {SCOUT: robots * 2 // 3, WEAPON: robots - robots * 2 // 3}
-        hidden = min(1, robots - 1)
-        steps, seconds = robot_steps(Mission(building, team, hidden), mission.task, None, max(1, 1000 // robots))
-        cost = seconds / steps
-        base = base or cost
-        print(f"{robots:5d} robots, 43 nodes: cost per robot-step {cost / base:.2f} x that of one robot")
-    base = None
-    for intersections in (21, 84, 336, 2_000):
-        large = generate(intersections, intersections + 4, intersections // 4, intersections // 2, seed=1)
-        steps, seconds = robot_steps(Mission(large, {SCOUT: 10, WEAPON: 5}), mission.task, None, 20)
-        cost = seconds / steps
-        base = base or cost
-        print(f"15 robots, {large.n_nodes:4d} nodes: cost per robot-step {cost / base:.2f} x that of the smallest")
+    for name, inputs in (("Table I", TABLE_I), ("Table I and WAITED", [*TABLE_I, "WAITED"])):
+        growth(name, building, inputs)
+    lane = mission.simulator.lane(mission.task.shape)
+    beyond = sum(part.nbytes for part in lane) - lane.weights.nbytes
+    print(f"memory of a lane beyond its weights: {beyond / 1024:.1f} KiB (bar 64)")
 
 
 if __name__ == "__main__":

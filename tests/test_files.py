@@ -6,7 +6,7 @@ import io
 import os
 import stat
 import tempfile
-import time
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -132,7 +132,6 @@ def test_a_folder_is_new_or_empty_or_the_commands_own(tmp_path: Path) -> None:
 def test_only_plain_files_of_moderate_size_are_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "large").write_bytes(b"12345")
-    start = time.monotonic()
     for path, message in (
         (tmp_path / "pipe", "is not a plain file"),
         ("/dev/zero", "is not a plain file"),
@@ -143,7 +142,6 @@ def test_only_plain_files_of_moderate_size_are_read(tmp_path: Path) -> None:
     ):
         with pytest.raises(TaskliftError, match=message):
             read_bytes(path, 4)
-    assert time.monotonic() - start < 2
     assert read_bytes(tmp_path / "large", 5) == b"12345"
 
 
@@ -199,11 +197,9 @@ HOSTILE_TOML = [
 
 
 @pytest.mark.parametrize(("text", "message"), HOSTILE_TOML, ids=[message for _, message in HOSTILE_TOML])
-def test_hostile_toml_is_refused_soon(text: str, message: str) -> None:
-    start = time.monotonic()
+def test_hostile_toml_is_refused(text: str, message: str) -> None:
     with pytest.raises(TaskliftError, match=f"^x: .*({message})"):
         parse_toml(text, "x")
-    assert time.monotonic() - start < 5
 
 
 @given(
@@ -270,10 +266,12 @@ HOSTILE_ARRAYS = {
 @pytest.mark.parametrize("name", HOSTILE_ARRAYS)
 def test_hostile_arrays_are_refused_before_they_are_unpacked(name: str) -> None:
     data, message = HOSTILE_ARRAYS[name]
-    start = time.monotonic()
+    tracemalloc.start()
     with pytest.raises(TaskliftError, match=f"^x: .*{message}"):
         parse_arrays(data, "x", SHAPE, 1000)
-    assert time.monotonic() - start < 1
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20e6  # the largest would take 300 MB
 
 
 @given(st.integers(0, 10_000), st.integers(1, 255))

@@ -339,7 +339,7 @@ def table(rows: dict[Job, dict[int, list[float]]]) -> str:
         does = job.peer.does if job.peer else "a building search: maps, doors, fights, learning in every decision"
         agents = job.peer.agents if job.peer else "15"
         one, many = medians.get(1), medians.get(CORES)
-        ratio = f"{ours / one:,.3g} ×" if one and job.peer else ""
+        ratio = f"{float(f'{ours / one:.3g}'):,g} ×" if one and job.peer else ""
         shown = [f"{value / 1e6:.3g}" if value else "–" for value in (one, many)]
         lines.append(f"| {name} | {does} | {agents} | {job.way} | {shown[0]} | {shown[1]} | {ratio} |")
     return "\n".join(lines)

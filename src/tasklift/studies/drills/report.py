@@ -59,7 +59,10 @@ PICTURE = "pictures/drills.png"
 Links = Mapping[tuple[str, int], Link | None]
 
 
-LOSSES = ("arm", "hostiles", "robots lost", "direct's first", "times fewer", "", "direct's last", "times fewer", "")
+LOSSES = (
+    "arm", "hostiles", "robots lost", "direct's first", "times fewer", "verdict", "direct's last", "times fewer",
+    "verdict",
+)  # fmt: skip
 PRICE = (
     "arm", "hostiles", "trials: safe + dangerous", "robots lost", "direct in as many", "times fewer", "solved (%)",
     "less direct's last (points)", "steps", "would-be losses",
@@ -467,7 +470,10 @@ def _learning(store: Store, found: Sequence[Contrast]) -> list[Series]:
 
 
 def _at_a_glance(found: Sequence[Contrast], links: Links) -> tuple[list[str], list[list[Any]]]:
-    headers = ["method", "hostiles", "fewer than direct's first", "", "fewer than direct's last", "", "play", "direct"]
+    headers = [
+        "method", "hostiles", "fewer than direct's first", "verdict", "fewer than direct's last", "verdict", "play",
+        "direct",
+    ]  # fmt: skip
     body: list[list[Any]] = []
     for c in found:
         (reference,) = ARMS[c.arm].against

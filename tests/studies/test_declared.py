@@ -203,6 +203,8 @@ def test_what_cannot_be_done_with_a_selection_is_refused_before_anything_is_comp
         ('inputs = [{ python = "own:nothing" }]', "has no 'nothing'"),
         ('inputs = [{ python = "own:out", more = 1 }]', "unknown field 'more'"),
         ("inputs = [3]", "expected the name of a variable or a table, found 3"),
+        ('inputs = ["DL", "DL"]', "inputs: expected each variable once"),
+        ('outputs = ["MV", "WPN", "CA", "FLY"]', "outputs: expected names among"),
         ('outputs = ["MV"]', "outputs: expected each of MV, WPN, CA once"),
         ("hostiles = 2", "unknown field 'hostiles'"),
         ('team = [{ kind = "bee", robots = 3 }]', "kind 'bee', speed_mm .*found None"),
@@ -218,6 +220,7 @@ def test_a_bad_file_is_one_line_that_names_it(text: str, message: str, tmp_path:
     with pytest.raises(TaskliftError, match=message) as found:
         Mission(HOUSE, **declared(file))
     assert "\n" not in str(found.value)
+    assert str(found.value).count("bad.toml") == 1
 
 
 def test_a_mission_goes_through_its_file(file: Path, tmp_path: Path):

@@ -103,8 +103,11 @@ def terms_from_json(data: Mapping[str, Any], where: str, own: Own) -> dict[str, 
     if "team" in found:
         found["team"] = parse_team(found["team"], f"{where}, team")
     if "inputs" in found:
-        found["inputs"] = tuple(_sensor(given, f"{where}, inputs", own) for given in found["inputs"])
-    return found
+        found["inputs"] = [_sensor(given, f"{where}, inputs", own) for given in found["inputs"]]
+    try:
+        return found | {name: _PARSED[name](found[name]) for name in ("inputs", "outputs") if name in found}
+    except TaskliftError as error:
+        raise TaskliftError(f"{where}: {error}") from error
 
 
 def own_files(sensors: Sequence[Sensor]) -> list[Path]:
@@ -139,7 +142,7 @@ def _sensor(given: Any, where: str, own: Own) -> str | Sensor:
         make = SENSORS[one_of(given["sensor"], list(SENSORS), f"{where}, sensor")]
         try:
             return make(**{name: value for name, value in given.items() if name != "sensor"})
-        except TypeError as error:
+        except (TypeError, TaskliftError) as error:
             raise TaskliftError(f"{where}, sensor {given['sensor']}: {error}") from error
     if "python" in given:
         named = check_fields(given, where, {"python": str})["python"]

@@ -250,10 +250,10 @@ def learn_approximate(
 ) -> ApproximateCurve:
     """Learn by fitted Q iteration (Ernst, Geurts & Wehenkel, JMLR 2005): no table, only what was met.
 
-    Each round runs trials with ε-greedy choice, then fits the weights, which may depend on the start's. Where
-    there is no experience, what was transferred stays: an input's weight for an output changes only if each of the
-    input's values was met with that output. Without a start, the fit holds for all inputs. A network takes as many
-    gradient steps in a round as there were steps of experience.
+    Each round runs trials with ε-greedy choice, then fits the weights, which may depend on the start's. Without
+    experience, transferred weights stay. A weight of a state (input) for an action (output) changes only after
+    experience: each value of the state must have occurred together with that action. Without a start, the fit holds
+    for all states. A network takes one gradient step for each step of experience.
 
     Parameters
     ----------

@@ -24,6 +24,7 @@ from tasklift.building.mission import Mission
 from tasklift.building.terms import own_files, terms_from_json, terms_to_json
 from tasklift.files import canonical_json, parse_json, parse_toml, read_bytes, read_text, write_atomically
 from tasklift.studies.own_code import OwnCode
+from tasklift.studies.spec_file import about
 
 MISSION_FILE = "mission.json"
 
@@ -36,7 +37,7 @@ def declared(file: Path | None, beside: Path | None = None, **given: Any) -> dic
     file : Path, optional
         TOML or JSON. A module that lies beside it, and that it names, is code, and runs.
     beside : Path, optional
-        A folder whose ``mission.json`` is read if there is no other file.
+        A folder. Without ``file``, its ``mission.json`` is read, if it has one.
     given
         The team (default: ``10+5``) and other arguments, in place of the file's; None: not given.
 
@@ -50,7 +51,9 @@ def declared(file: Path | None, beside: Path | None = None, **given: Any) -> dic
     found: dict[str, Any] = {"team": "10+5"}
     if file is not None:
         parse = parse_json if file.suffix == ".json" else parse_toml
-        found |= terms_from_json(parse(read_text(file), str(file)), str(file), OwnCode(file.parent).named)
+        document = parse(read_text(file), str(file))
+        with about(file):
+            found |= terms_from_json(document, "mission", OwnCode(file.parent).named)
     return found | {name: value for name, value in given.items() if value is not None}
 
 

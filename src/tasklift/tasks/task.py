@@ -121,7 +121,9 @@ class Task:
     def _check_parent(self, where: str) -> None:
         if self.parent is None:
             if self.fixed or self.removed or self.merged:
-                raise TaskliftError(f"{where}: variables are fixed, removed or merged, but there is no parent task")
+                raise TaskliftError(
+                    f"{where}: expected a parent task, since variables are fixed, removed or merged; there is no parent"
+                )
             return
         ours = {v.name: v for v in self.variables}
         for variable in self.parent.variables:

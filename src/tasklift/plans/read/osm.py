@@ -1,7 +1,7 @@
 """OpenStreetMap's simple indoor tagging (``.osm``): rooms, corridors, walls and doors of one level.
 
 Tagging: https://wiki.openstreetmap.org/wiki/Simple_Indoor_Tagging. Latitude and longitude become metres around the
-middle of what is drawn. Where two corridors or areas share a piece of their outlines there is no wall.
+middle of what is drawn. Corridors and areas that share a piece of their outlines have no wall there.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def test_an_environment_is_learned_step_by_step_as_well() -> None:
 
 
 def test_taxi_factors_as_its_manual_says() -> None:
-    world = Factored(gymnasium.make("Taxi-v4"), TAXI, loss=lambda e: e.reward == -10)
+    world = Factored(gymnasium.make("Taxi-v4"), TAXI, loss=lambda e: e.reward == -10, mask=None)
     env = world.env.unwrapped
     for state in range(500):
         row, col, passenger, destination = env.decode(state)
@@ -242,7 +242,7 @@ def changed() -> None:
     ("call", "message"),
     [
         (lambda: Factored(Moody(), FOUR), "no limit of steps; give limit="),
-        (lambda: Factored(Moody(), FOUR, limit=0), "at least 1 step"),
+        (lambda: Factored(Moody(), FOUR, limit=0), "limit: expected a whole number of at least 1, found 0"),
         (
             lambda: Factored(Moody(), Task("t", (Variable("x", range(3)),), TWO), limit=5),
             r"Discrete\(4\), which does not split into x \(3\)",
@@ -292,7 +292,10 @@ Q = ValueLearning("q-learning", step_size=0.1, epsilon=0.1)
 )
 @pytest.mark.parametrize("seeds", [16, pytest.param(100, marks=pytest.mark.slow)])
 def test_the_switch_of_an_environment_is_a_simpler_task(name, options, switch, task, loss, trials, seeds) -> None:
-    plain, full = (Factored(gymnasium.make(name, **options, **more), task, loss=loss).model() for more in ({}, switch))
+    def model(**more):
+        return Factored(gymnasium.make(name, **options, **more), task, loss=loss, mask=None).model()
+
+    plain, full = model(), model(**switch)
     stages = [Stage("simple", task, plain, Q, trials=trials), Stage("full", task, full, Q, trials=trials)]
     told = compare(Curriculum(stages), seeds=seeds)
     assert told.finding("jumpstart (return, first 10 trials)").verdict == "helps"

@@ -207,6 +207,47 @@ def test_what_was_transferred_stays_where_there_is_no_experience(kind) -> None:
     assert weights[list(curve.met)] == pytest.approx(np.tile([10.0, 0.0, -10.0], (6, 1)), abs=1.5)
 
 
+class Toll:
+    """One step. The first door pays most and breaks something, the third is locked, the fourth is always shut."""
+
+    task = Task("toll", (), (Variable("door", range(4)),), impossible=({"door": 3},))
+    limit = 1
+    possible = np.array([True, True, False, True])
+    breaks, begun = None, 0
+
+    def start(self, rng: np.random.Generator) -> int:
+        self.begun += 1
+        if self.begun == self.breaks:
+            raise RuntimeError("the simulator fell over")
+        return 0
+
+    def step(self, output: int) -> Step:
+        assert output < 2
+        return Step(0, 5.0 - output, ended=True, lost=int(output == 0), success=True)
+
+
+def test_fitted_iteration_knows_losses_and_what_is_impossible() -> None:
+    for penalty, best in ((0.0, 0), (3.0, 1)):
+        curve = learn_approximate(Toll(), rounds=2, trials=30, epsilon=1.0, loss_penalty=penalty)
+        weights = curve.approximation.weights([0])[0]
+        assert weights[:2].argmax() == best
+        assert weights[:2] == pytest.approx([5.0 - penalty, 4.0])
+    shut = Toll()
+    shut.possible = np.array([False, False, False, True])
+    with pytest.raises(TaskliftError, match="no output is possible"):
+        learn_approximate(shut, rounds=1, trials=1)
+
+
+def test_what_was_fitted_before_a_crash_is_kept() -> None:
+    world = Toll()
+    world.breaks = 25
+    with pytest.raises(RuntimeError, match="fell over") as crash:
+        learn_approximate(world, rounds=2, trials=20, epsilon=1.0)
+    once = learn_approximate(Toll(), rounds=1, trials=20, epsilon=1.0)
+    assert np.array_equal(crash.value.curve.approximation.weights([0]), once.approximation.weights([0]))
+    assert len(crash.value.curve.outcomes) == 24
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -510,6 +510,20 @@ def test_a_comparison_says_what_paid() -> None:
     assert comparison.policy.task == Corridor.task
 
 
+@pytest.mark.parametrize("workers", [2, 5, None])
+def test_a_comparison_is_the_same_on_any_number_of_processes(workers: int | None) -> None:
+    told: list[tuple[int, int]] = []
+    alone = compare(corridor_curriculum(), seeds=5, first=5, threshold=8, workers=1)
+    many = compare(
+        corridor_curriculum(), seeds=5, first=5, threshold=8, workers=workers,
+        progress=lambda done, of: told.append((done, of)),
+    )  # fmt: skip
+    assert many.to_json() == alone.to_json()
+    assert np.array_equal(many.policy.weights, alone.policy.weights)
+    assert many.policy.provenance == alone.policy.provenance
+    assert told == [(n, 5) for n in range(1, 6)]
+
+
 def test_a_curriculum_without_transfer_is_no_help() -> None:
     # one stage only: both arms are the same learner, seed by seed
     model = random_model(8)
@@ -595,6 +609,7 @@ def test_mistakes_are_named_before_anything_is_trained(stages: list, options: di
         (lambda: Guard("steps", window=5), "windows have equally many steps"),
         (lambda: SequentialTest().update(2), "from -1 to 1"),
         (lambda: compare(corridor_curriculum(), seeds=1), "seeds: expected a whole number of at least 2"),
+        (lambda: compare(corridor_curriculum(), seeds=2, workers=0), "workers: expected a whole number of at least 1"),
         (lambda: compare(Curriculum(corridor_curriculum().stages[:1]), seeds=2), "stage has its learner's budget"),
         (lambda: compare(corridor_curriculum(), seeds=2, performance="return"), "no returns"),
     ],

@@ -127,3 +127,65 @@ def test_failure_probabilities_agree_with_storm(tmp_path: Path) -> None:
         result = storm.model_checking(chain, properties[0], environment=storm.environments.exact())
         expected = float(result.get_value(chain.initial_states[0]))
         assert model.failure_probability(chances) == pytest.approx(expected, abs=1e-10)
+
+
+def walk(*, probability=1.0, reward=-1.0, lost=0, start=None, limit=50, branches=None) -> Model:
+    """Five places in a row; the last one is home."""
+    task = Task("walk", (Variable("place", range(5)),), (Variable("go", (-1, 1)),))
+
+    def transitions(state, output):
+        there = min(4, max(0, state["place"] + output["go"]))
+        return [(probability, {"place": there}, reward, there == 4, lost)] if branches is None else branches
+
+    return Model.from_function(task, transitions, {"place": 0} if start is None else start, limit)
+
+
+def test_a_model_from_a_function_counts_losses_and_successes() -> None:
+    model = walk(lost=np.int64(2))
+    assert model.lost.dtype == np.int64
+    assert (model.lost == 2).all()
+    assert not model.success.any()  # who loses does not succeed, unless the function says so
+    assert walk().optimum() == -4
+    split = walk(start=[(0.25, {"place": 3}), (0.75, {"place": 2})])
+    assert split.optimum() == -0.25 - 0.75 * 2
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"lost": 0.5}, "expected whole numbers of losses"),
+        ({"lost": -1}, "expected whole numbers of losses"),
+        ({"lost": float("nan")}, "expected whole numbers of losses"),
+        ({"lost": None}, r"{'place': 0}, {'go': -1}: expected branches"),
+        ({"reward": "x"}, "expected branches"),
+        ({"reward": float("nan")}, "a reward is not a finite number"),
+        ({"probability": 0.5}, "do not sum to one"),
+        ({"probability": "half"}, "expected branches"),
+        ({"limit": 0}, "limit: expected a whole number of at least 1, found 0"),
+        ({"limit": None}, "limit: expected a whole number of at least 1"),
+        ({"start": 3}, r"start: expected a state, or pairs \(probability, state\), found 3"),
+        ({"start": [{"place": 0}]}, "expected a state, or pairs"),
+        ({"start": {"room": 0}}, "has no 'place'"),
+        ({"branches": (1.0, {"place": 0}, 0.0, True)}, "expected branches"),
+        ({"branches": None, "probability": None}, "expected branches"),
+        ({"branches": []}, "at least one branch"),
+        ({"branches": [(1.0, {"place": 9}, 0.0, True)]}, r"{'go': -1}: .*has no value 9"),
+        ({"branches": [(1.0, {"place": 1}, 0.0, True, 0, True, 3)]}, "expected branches"),
+    ],
+)
+def test_what_is_wrong_with_a_function_is_named(options, says: str) -> None:
+    with pytest.raises(TaskliftError, match=says):
+        walk(**options)
+
+
+def test_a_model_is_stepped_within_trials_only() -> None:
+    model = walk(start={"place": 3})
+    with pytest.raises(TaskliftError, match="outside of a trial"):
+        model.step(1)
+    model.start(np.random.default_rng(0))
+    for output in (-1, 2, 0.5):
+        with pytest.raises(TaskliftError, match="output: expected a whole number from 0 to 1"):
+            model.step(output)
+    assert model.step(1).ended
+    with pytest.raises(TaskliftError, match="outside of a trial"):
+        model.step(1)

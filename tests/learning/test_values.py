@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from tasklift.errors import TaskliftError
 from tasklift.learning.curriculum import Curriculum
+from tasklift.learning.learner import InTurn, Run
 from tasklift.learning.model import Model
-from tasklift.learning.reinforcement import Reinforcement, StepTrials, reinforce, sweep
+from tasklift.learning.reinforcement import Reinforcement, StepTrials, Sweep, reinforce, sweep
 from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning, evaluate, learn_values
 from tasklift.learning.worlds import Step
@@ -293,7 +294,7 @@ class Ring:
 
     task = Task("ring", (Variable("place", range(4)),), (Variable("go", ("on", "stay")),))
     limit = 8
-    breaks = None
+    breaks, error = None, RuntimeError("the simulator fell over")
     begun = 0
 
     def start(self, rng):
@@ -302,7 +303,7 @@ class Ring:
 
     def step(self, output):
         if self.begun == self.breaks:
-            raise RuntimeError("the simulator fell over")
+            raise self.error
         self.place = (self.place + (output == 0)) % 4
         return Step(self.place, 1.0, ended=False, lost=int(self.place == 3))
 
@@ -326,6 +327,7 @@ def test_a_callback_sees_each_trial_and_stops_early() -> None:
         return episode.trial == 6
 
     curve = learn_values(Ring(), trials=50, callback=callback)
+    assert len(learn_values(Ring(), trials=50, callback=lambda e: np.bool_(e.trial == 3)).outcomes) == 4
     assert len(curve.outcomes) == len(told) == 7
     assert [e.steps for e in told] == curve.outcomes.steps.tolist()
     assert np.array_equal(curve.policy.weights, learn_values(Ring(), trials=7).policy.weights)
@@ -335,13 +337,35 @@ def test_a_callback_sees_each_trial_and_stops_early() -> None:
         learn_values(Ring(), trials=1, callback="checkpoint")
 
 
-def test_what_was_learned_before_a_crash_is_kept() -> None:
+@pytest.mark.parametrize("error", [RuntimeError("fell over"), KeyboardInterrupt("fell over")])
+@pytest.mark.parametrize(
+    ("learner", "budget"),
+    [
+        (ValueLearning(), {"trials": 50}),
+        (Reinforcement(loss_signal=-0.1), {"trials": 50}),
+        (Reinforcement(loss_signal=-0.1), {"steps": 400}),
+        (InTurn((ValueLearning(), ValueLearning(epsilon=0.5)), (0, 2)), {"trials": 50}),
+    ],
+)
+def test_what_was_learned_before_a_crash_is_kept(learner, budget, error) -> None:
     world = Ring()
-    world.breaks = 6
-    with pytest.raises(RuntimeError, match="fell over") as crash:
-        learn_values(world, trials=50)
-    assert np.array_equal(crash.value.curve.policy.weights, learn_values(Ring(), trials=5).policy.weights)
-    assert len(crash.value.curve.outcomes) == 5
+    world.breaks, world.error = 6, error
+    with pytest.raises(type(error), match="fell over") as crash:
+        learner.learn(world, learner.start(Ring.task), Run(**budget))
+    whole = learner.learn(Ring(), learner.start(Ring.task), Run(trials=5))
+    kept = crash.value.curve
+    assert np.array_equal(kept.policy.weights, whole.policy.weights)
+    assert np.array_equal(kept.outcomes.losses, whole.outcomes.losses[-len(kept.outcomes) :])
+
+
+def test_what_a_curriculum_learned_before_a_crash_is_kept() -> None:
+    world = Ring()
+    world.breaks = 66
+    stages = [Stage(name, Ring.task, world, ValueLearning(), trials=40) for name in ("first", "second")]
+    with pytest.raises(RuntimeError) as crash:
+        Curriculum(stages).run()
+    whole = [replace(stage, world=Ring(), trials=trials) for stage, trials in zip(stages, (40, 25), strict=True)]
+    assert np.array_equal(crash.value.curve.policy.weights, Curriculum(whole).run().policy.weights)
 
 
 def test_an_output_that_was_left_out_has_no_visits() -> None:
@@ -353,7 +377,22 @@ def test_an_output_that_was_left_out_has_no_visits() -> None:
     assert policy.extend(full).carried["visits"].tolist() == [[3.0, 5.0, 0.0]]
 
 
-def test_reinforcement_refuses_where_nothing_can_be_learned() -> None:
-    with pytest.raises(TaskliftError, match="nothing can be learned"):
-        Curriculum([Stage("only", Ring.task, Ring(), Reinforcement(), trials=20)]).check()
-    Curriculum([Stage("only", Ring.task, Ring(), Reinforcement(loss_signal=-1.0), trials=20)]).check()
+def free(model: Model) -> Model:
+    return replace(model, reward=np.zeros_like(model.reward))
+
+
+@pytest.mark.parametrize(("world", "learner"), [
+    (Ring(), Reinforcement()), (Ring(), Sweep()), (free(random_model(0)), ValueLearning()),
+])  # fmt: skip
+def test_a_stage_in_which_nothing_can_be_learned_is_refused(world, learner) -> None:
+    trials = None if isinstance(learner, Sweep) else 20
+    with pytest.raises(TaskliftError, match="stage 'only': nothing can be learned"):
+        Curriculum([Stage("only", world.task, world, learner, trials=trials)]).check()
+
+
+@pytest.mark.parametrize(("world", "learner"), [
+    (Ring(), Reinforcement(loss_signal=-1.0)), (free(random_model(0)), ValueLearning(loss_penalty=1.0)),
+    (free(random_model(0)), ValueLearning(initial_value=1.0)),
+])  # fmt: skip
+def test_a_stage_in_which_losses_teach_is_not_refused(world, learner) -> None:
+    Curriculum([Stage("only", world.task, world, learner, trials=20)]).check()

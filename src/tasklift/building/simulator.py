@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +25,7 @@ from tasklift.checks import LARGEST_WHOLE, number, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
+from tasklift.processes import cores
 from tasklift.tasks.policy import Policy, greedy_share
 from tasklift.tasks.task import Task
 from tasklift.text import shown
@@ -637,7 +637,7 @@ def _patience(entry: Any, sensors: tuple[Sensor, ...]) -> Iterator[None]:
 def _share_out(work: Any, lane: Any, n_jobs: int, threads: int | None) -> None:
     """Call ``work(part, lane)`` for slices of the jobs on several threads, each with a lane of its own."""
     if threads is None:
-        threads = os.cpu_count() or 1
+        threads = cores()
     whole_number(threads, "threads", 1, 4096)
     threads = min(threads, n_jobs)
     if threads <= 1:

@@ -59,14 +59,10 @@ def positions_of(space: Any, names: Sequence[str]) -> Callable[[Any], list[int]]
     found = leaves(space, names)
     assert found is not None
     lows = [low for low, _ in found]
-    if type(space).__name__ == "Discrete":
-        low = lows[0]
-        return lambda value: [(value if type(value) is int else _whole(value)) - low]
-
     def positions(value: Any) -> list[int]:
         flat: list[Any] = []
         _flatten(space, names, value, flat)
-        return [_whole(v) - low for v, low in zip(flat, lows, strict=True)]
+        return [whole(v) - low for v, low in zip(flat, lows, strict=True)]
 
     return positions
 
@@ -82,7 +78,8 @@ def _flatten(space: Any, names: Sequence[str], value: Any, into: list[Any]) -> N
         _flatten(part, (), value[key], into)
 
 
-def _whole(value: Any) -> int:
+def whole(value: Any) -> int:
+    """Return a number as an ``int``; raise ``ValueError`` for a fraction."""
     found = value.item() if isinstance(value, np.ndarray | np.generic) else value
     if found != int(found):
         raise ValueError(f"expected a whole number, found {found}")

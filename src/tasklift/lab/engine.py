@@ -18,7 +18,8 @@ from tasklift.errors import TaskliftError
 from tasklift.lab.cell import Cell, CellResult
 from tasklift.lab.packing import Detail, Packed
 from tasklift.lab.store import Store
-from tasklift.lab.work import Group, Stopped, Work, compute, cores
+from tasklift.lab.work import Group, Stopped, Work, compute
+from tasklift.processes import cores
 
 
 class Progress(Protocol):

@@ -12,7 +12,8 @@ from typing import Any
 
 from tasklift.errors import TaskliftError, missing
 from tasklift.lab.packing import Detail, Packed
-from tasklift.lab.work import Group, Stopped, Work, compute, cores
+from tasklift.lab.work import Group, Stopped, Work, compute
+from tasklift.processes import cores
 
 _RETRIES = 5  # of a group whose worker or node died; tasks keep no state, so repeating one is safe
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 
 from tasklift.errors import TaskliftError
@@ -12,11 +11,6 @@ from tasklift.lab.packing import Detail, Packed
 Work = Callable[[Cell], CellResult]
 Group = list[Cell]
 Stopped = Callable[[], bool]
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def compute(work: Work, cell: Cell, detail: Detail) -> Packed:

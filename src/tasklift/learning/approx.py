@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError, missing
 from tasklift.learning.chances import GREEDY_STAGE, Chances
-from tasklift.learning.worlds import StepOutcomes, Steps, View, outcomes_of
+from tasklift.learning.learner import keeping
+from tasklift.learning.worlds import Course, Possible, StepOutcomes, Steps, View, nothing_possible, outcomes_of
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy, Prior, spread
 from tasklift.tasks.task import Task
@@ -242,6 +243,7 @@ def learn_approximate(
     trials: int = 50,
     discount: float = 0.99,
     epsilon: float = 0.2,
+    loss_penalty: float = 0.0,
     sweeps: int = 5,
     leaf: int = 5,
     hidden: Sequence[int] = (64, 64),
@@ -253,7 +255,8 @@ def learn_approximate(
     Each round runs trials with ε-greedy choice, then fits the weights, which may depend on the start's. Without
     experience, transferred weights stay. A weight of a state (input) for an action (output) changes only after
     experience: each value of the state must have occurred together with that action. Without a start, the fit holds
-    for all states. A network takes one gradient step for each step of experience.
+    for all states. A network takes one gradient step for each step of experience. Outputs that the task or the world
+    says are impossible are never chosen.
 
     Parameters
     ----------
@@ -267,6 +270,8 @@ def learn_approximate(
         Trials per round.
     epsilon
         Probability of a uniformly random output.
+    loss_penalty
+        What each loss takes from the reward that is learned from; returns are reported without it.
     sweeps
         Fits per round, each one step further ahead.
     leaf
@@ -302,20 +307,25 @@ def learn_approximate(
     current = base
     collector, chances = _Collector(world, full), Chances(seed, stage)
     learner: _Trees | _Perceptron = _Trees(full, leaf) if kind == "tree" else _Perceptron(full, hidden, seed)
-    with _one_thread():
+
+    def curve() -> ApproximateCurve:
+        return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
+
+    with _one_thread(), keeping(curve):
         for number in range(rounds):
             known = len(collector.steps)
             for i in range(trials):
-                collector.trial(current, chances.of(number * trials + i), epsilon)
+                collector.trial(current, chances.of(number * trials + i), epsilon, loss_penalty)
             memory = collector.memory()
             met = None if start is None else _met(full, memory)
             base_now = base.rows(memory.before)
             updates = -(-(len(memory.output) - known) // sweeps)
             for _ in range(sweeps):
-                ahead = np.where(memory.ended, 0.0, current.rows(memory.after).max(axis=1))
+                ahead = np.where(memory.possible, current.rows(memory.after), -np.inf).max(axis=1)
+                ahead = np.where(memory.ended, 0.0, ahead)
                 learner.fit(memory, base_now, memory.reward + discount * ahead, updates)
                 current = Approximation(full, _Corrected(base, learner, met), "value")
-    return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
+    return curve()
 
 
 @dataclass
@@ -325,22 +335,23 @@ class _Memory:
     reward: Floats
     after: Positions
     ended: NDArray[np.bool_]
+    possible: NDArray[np.bool_]  # after it, (n, A)
 
 
 class _Collector:
     """Runs trials and remembers them; inputs are numbered as they are met."""
 
     def __init__(self, world: Steps, task: Task) -> None:
-        self.world, self.view, self.task = world, View(world, task), task
+        self.view, self.task = View(world, task), task
         self.met: dict[int, int] = {}
         self.positions: list[list[int]] = []
-        self.steps: list[tuple[int, int, float, int, bool]] = []
+        self.steps: list[tuple[int, int, float, int, bool, NDArray[np.bool_]]] = []
         self.records: list[tuple[int, bool, int, float]] = []
         self._rows: dict[int, Floats] = {}
+        self._tasks: dict[int, NDArray[np.bool_]] = {}
         self._asked: Approximation | None = None
 
-    def _number(self, input: int) -> int:
-        row = self.view.row(input)
+    def _number(self, row: int) -> int:
         if row not in self.met:
             self.met[row] = len(self.met)
             self.positions.append(self.task.input_positions([row])[0].tolist())
@@ -356,26 +367,43 @@ class _Collector:
             self._rows[number] = approximation.rows(np.array([self.positions[number]], dtype=np.int64))[0]
         return self._rows[number]
 
-    def trial(self, approximation: Approximation, rng: np.random.Generator, epsilon: float) -> None:
+    def _allowed(self, number: int, possible: Possible) -> NDArray[np.bool_]:
+        """Return which outputs the task and the world allow at an input, bool (A,)."""
+        if number not in self._tasks:
+            place = np.array([self.positions[number]], dtype=np.int64)
+            refused = [self.task.where(condition, place)[0] for condition in self.task.impossible]
+            self._tasks[number] = ~np.any(refused, axis=0) if refused else np.ones(self.task.shape[1], np.bool_)
+        allowed = self._tasks[number]
+        return allowed if possible is None else allowed & possible
+
+    def trial(
+        self, approximation: Approximation, rng: np.random.Generator, epsilon: float, loss_penalty: float = 0.0
+    ) -> None:
         likely = np.empty(self.task.shape[1])
-        here = self._number(self.world.start(rng))
-        steps, losses, total = 0, 0, 0.0
-        while True:
-            rules.probabilities(self._row(here, approximation), epsilon, 0.0, likely)
-            output = rules.draw(likely, rng.random())
-            answer = self.world.step(self.view.columns[output])
-            steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
-            there = here if answer.ended else self._number(answer.input)
-            self.steps.append((here, output, answer.reward, there, answer.ended))
-            if answer.ended or answer.cut or steps >= self.world.limit:
-                self.records.append((steps, answer.success, losses, total))
-                return
-            here = there
+
+        def course(row: int, possible: Possible) -> Course:
+            here, last = self._number(row), False
+            allowed = self._allowed(here, possible)
+            while not last:
+                if not allowed.any():
+                    raise nothing_possible(self.task, row)
+                weights = np.where(allowed, self._row(here, approximation), -np.inf)
+                rules.probabilities(weights, epsilon, 0.0, likely)
+                output = rules.draw(likely, rng.random())
+                row, possible, reward, lost, last = yield output
+                there = here if row < 0 else self._number(row)
+                allowed = self._allowed(there, possible)
+                over = row < 0 or not allowed.any()
+                self.steps.append((here, output, reward - loss_penalty * lost, there, over, allowed))
+                here = there
+            yield -1
+
+        self.records.append(self.view.play(rng, course))
 
     def memory(self) -> _Memory:
-        before, output, reward, after, ended = (np.array(column) for column in zip(*self.steps, strict=True))
+        before, output, reward, after, ended, possible = (np.array(column) for column in zip(*self.steps, strict=True))
         where = np.array(self.positions, dtype=np.int64).reshape(len(self.positions), -1)
-        return _Memory(where[before], output, reward, where[after], ended)
+        return _Memory(where[before], output, reward, where[after], ended, possible)
 
 
 def _met(task: Task, memory: _Memory) -> list[NDArray[np.bool_]]:

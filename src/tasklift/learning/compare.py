@@ -22,6 +22,7 @@ from tasklift.learning.curriculum import Curriculum, CurriculumRun, Records
 from tasklift.learning.ledger import Ledger
 from tasklift.learning.stage import Stage
 from tasklift.learning.worlds import Outcomes
+from tasklift.processes import cores, in_processes
 from tasklift.tasks.policy import Policy
 from tasklift.text import one_line, shown
 
@@ -165,6 +166,7 @@ def compare(
     first: int = 10,
     last: int = 20,
     threshold: float | None = None,
+    workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Run a curriculum and direct learning over seeds and say, with intervals, whether transfer paid.
@@ -181,6 +183,9 @@ def compare(
         Trials over which the jumpstart and the late performance are averaged.
     threshold
         Of performance: also report what is lost until the mean of ``first`` trials is that good.
+    workers
+        Processes that run the seeds; the result is the same. Default: one per core, on Linux. They are forked: where
+        worlds or learners have threads or a GPU of their own, or write files, give 1.
     progress
         Called after each seed with the number of seeds done, and of all.
 
@@ -222,12 +227,18 @@ def compare(
     whole_number(seeds, "compare, seeds", least=2)
     whole_number(first, "compare, first", least=1)
     whole_number(last, "compare, last", least=1)
+    workers = cores() if workers is None else whole_number(workers, "compare, workers", least=1)
     curriculum.check()
+
+    def both(number: int) -> tuple[CurriculumRun, Outcomes]:
+        run = curriculum.run(number)
+        return run, learn_directly(curriculum, run, number)
+
     runs: list[CurriculumRun] = []
     direct: list[Outcomes] = []
-    for number in range(seed, seed + seeds):
-        runs.append(curriculum.run(number))
-        direct.append(learn_directly(curriculum, runs[-1], number))
+    for run, directly in in_processes(both, range(seed, seed + seeds), workers):
+        runs.append(run)
+        direct.append(directly)
         if progress is not None:
             progress(len(runs), seeds)
     options: dict[str, Any] = {"performance": performance, "first": first, "last": last, "threshold": threshold}

@@ -7,8 +7,9 @@ citizens: a curriculum knows the methods below and nothing else of them.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -131,6 +132,23 @@ class Run:
         return self.after(*done) if self.goes_on(*done) else None
 
 
+def run_of(what: str, options: Mapping[str, Any]) -> Run:
+    """Return the run that a function's further options describe, or name the one that there is not.
+
+    Parameters
+    ----------
+    what
+        The function, for the message.
+    options
+        By name.
+    """
+    known = [field.name for field in fields(Run)]
+    for name in options:
+        if name not in known:
+            raise TaskliftError(f"{what}: unknown option {name!r}; the run takes {', '.join(known)}")
+    return Run(**options)
+
+
 @dataclass(frozen=True)
 class Curve:
     """A learned policy, and the outcome of every trial on the way to it."""
@@ -151,6 +169,16 @@ class Curve:
 
     def _repr_html_(self) -> str:
         return self.outcomes._repr_html_()
+
+
+@contextmanager
+def keeping(curve: Callable[[], object]) -> Iterator[None]:
+    """Give what is raised within the block, Ctrl-C too, what was learned until then, as its attribute ``curve``."""
+    try:
+        yield
+    except BaseException as error:
+        error.curve = curve()  # type: ignore[attr-defined]
+        raise
 
 
 class Learner(Protocol):

@@ -14,14 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasklift.checks import number
+from tasklift.checks import number, whole_number
 from tasklift.errors import TaskliftError
-from tasklift.learning.worlds import Step, stray_input
+from tasklift.learning.worlds import Record, Step, stray_input
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 from tasklift.text import shown
 
 Floats = NDArray[np.float64]
+
+
+_BRANCH = ("probability", "after", "reward", "ended", "lost", "success")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,42 +122,37 @@ class Model:
         """
         n, outputs = task.shape
         task.need_room(n * outputs, "the model")
-        told: list[list[list[Any]]] = []
+        told: list[list[list[tuple[Any, ...]]]] = []
         for s in range(n):
             told.append([])
             for a in range(outputs):
                 state, output = task.input_values(s), task.output_values(a)
-                branches = [list(branch) for branch in transitions(dict(state), output)]
-                if not branches or not all(4 <= len(branch) <= 6 for branch in branches):
-                    raise TaskliftError(
-                        f"model of {task.name!r}, {state}, {output}: expected branches (probability, next state, "
-                        f"reward, ended), found {shown(branches)}"
-                    )
-                told[-1].append([[p, task.input_index(to), *rest] for p, to, *rest in branches])
+                branches = transitions(dict(state), output)
+                told[-1].append(_branches(branches, task, f"model of {task.name!r}, {state}, {output}"))
         shape = (n, outputs, max(len(branches) for row in told for branches in row))
         arrays: dict[str, NDArray[Any]] = {name: np.zeros(shape) for name in ("probability", "reward")}
-        arrays |= {name: np.zeros(shape, np.int64) for name in ("after", "lost")}
+        arrays |= {"after": np.zeros(shape, np.int64), "lost": np.zeros(shape)}
         arrays |= {name: np.zeros(shape, np.bool_) for name in ("ended", "success")}
         for s, row in enumerate(told):
             for a, branches in enumerate(row):
-                for k, (p, to, reward, ended, *rest) in enumerate(branches):
-                    lost = rest[0] if rest else 0
-                    success = rest[1] if len(rest) == 2 else bool(ended) and not lost
-                    for name, value in zip(
-                        ("probability", "after", "reward", "ended", "lost", "success"),
-                        (p, to, reward, ended, lost, success),
-                        strict=True,
-                    ):
+                for k, branch in enumerate(branches):
+                    for name, value in zip(_BRANCH, branch, strict=True):
                         arrays[name][s, a, k] = value
         begins = np.zeros(n)
-        for p, begin in [(1.0, start)] if isinstance(start, Mapping) else start:
+        try:
+            pairs = [(1.0, start)] if isinstance(start, Mapping) else [(float(p), begin) for p, begin in start]
+        except (TypeError, ValueError) as error:
+            raise TaskliftError(
+                f"model of {task.name!r}, start: expected a state, or pairs (probability, state), found {shown(start)}"
+            ) from error
+        for p, begin in pairs:
             begins[task.input_index(begin)] += p
         return cls(task, np.arange(n), begins, limit=limit, **arrays)
 
     def __post_init__(self) -> None:
         n, outputs = len(self.rows), self.task.shape[1]
         where = f"model of {self.task.name!r}"
-        shapes = {np.shape(a) for a in (self.probability, self.after, self.reward, self.ended, self.lost, self.success)}
+        shapes = {np.shape(getattr(self, name)) for name in _BRANCH}
         if len(shapes) != 1 or self.probability.shape[:2] != (n, outputs) or self.start_probability.shape != (n,):
             raise TaskliftError(f"{where}: expected arrays of shape ({n}, {outputs}, branches), found {sorted(shapes)}")
         sums = np.append(self.probability.sum(axis=2).ravel(), self.start_probability.sum())
@@ -162,6 +160,11 @@ class Model:
             raise TaskliftError(f"{where}: the probabilities of a transition, or of the start, do not sum to one")
         if self.after.min() < 0 or self.after.max() >= n:
             raise TaskliftError(f"{where}: a transition leads to a state that is not among the {n}")
+        lost = np.asarray(self.lost, dtype=np.float64)
+        if (lost < 0).any() or (lost != np.floor(lost)).any():
+            raise TaskliftError(f"{where}: expected whole numbers of losses from 0; count in smaller units")
+        object.__setattr__(self, "lost", lost.astype(np.int64))
+        whole_number(self.limit, f"{where}, limit", least=1)
         if not np.isfinite(self.reward).all():
             raise TaskliftError(f"{where}: a reward is not a finite number")
         if self.rows.min() < 0 or self.rows.max() >= self.task.shape[0]:
@@ -200,9 +203,14 @@ class Model:
     def step(self, output: int) -> Step:
         """Do one step with this output."""
         state, rng = self._state["now"], self._state["rng"]  # type: ignore[attr-defined]
+        whole_number(output, f"model of {self.task.name!r}, output", 0, self.task.shape[1] - 1)
+        if rng is None:
+            raise TaskliftError(f"model of {self.task.name!r}: a step outside of a trial; call start() before")
         k = int(np.argmax(rng.random() < self._arrays.upto[state, output]))
         branch = (state, output, k)
         self._state["now"] = after = int(self.after[branch])  # type: ignore[attr-defined]
+        if self.ended[branch]:
+            self._state["rng"] = None  # type: ignore[attr-defined]
         return Step(
             int(self.rows[after]),
             float(self.reward[branch]),
@@ -212,19 +220,20 @@ class Model:
         )
 
     def compiled_trial(
-        self, task: Task, values: Floats, visits: Floats, settings: tuple[int, float, float, float, float, float]
-    ) -> Callable[[np.random.Generator, float, bool], tuple[int, bool, int, float]]:
-        """Return a function that runs one compiled trial of value learning on ``values``, float64 (S, A)."""
+        self, task: Task, values: Floats, visits: Floats, settings: Floats
+    ) -> Callable[[np.random.Generator], Record]:
+        """Return a function that runs one compiled trial of value learning on ``values``, float64 (S, A).
+
+        ``settings`` are a learner's, float64 (8,); see :mod:`tasklift.learning.model_kernel`.
+        """
         from tasklift.learning import model_kernel
 
         ancestor = task.ancestor(self.task)
         rows = task.input_rows(ancestor)[self.rows]
         columns = task.output_columns(ancestor)
 
-        def trial(rng: np.random.Generator, epsilon: float, learn: bool) -> tuple[int, bool, int, float]:
-            *record, stray = model_kernel.trial(
-                self._arrays, rows, columns, values, visits, settings, rng, epsilon, learn
-            )
+        def trial(rng: np.random.Generator) -> Record:
+            *record, stray = model_kernel.trial(self._arrays, rows, columns, values, visits, settings, rng)
             if stray >= 0:
                 raise stray_input(self.task.input_values(int(self.rows[stray])), task)
             steps, success, losses, total = record
@@ -342,8 +351,7 @@ class Model:
         refused = (risks > risk + 1e-9) & (risks > least + 1e-9)
         state, outputs = np.arange(len(self.rows))[:, None], np.arange(self.task.shape[1])
         does = np.where(refused, risks.argmin(axis=1)[:, None], outputs)
-        names = ("probability", "after", "reward", "ended", "lost", "success")
-        return replace(self, **{name: getattr(self, name)[state, does] for name in names})
+        return replace(self, **{name: getattr(self, name)[state, does] for name in _BRANCH})
 
     @cached_property
     def _until_lost(self) -> Model:
@@ -377,3 +385,25 @@ class Model:
             if (wider == met).all():
                 return met
             met = wider
+
+
+def _branches(given: Any, task: Task, where: str) -> list[tuple[Any, ...]]:
+    """Return the branches of a transition, each with its six entries (:data:`_BRANCH`)."""
+    found = []
+    try:
+        for p, to, reward, ended, *rest in given:
+            lost = float(rest[0]) if rest else 0.0
+            success = bool(rest[1]) if len(rest) > 1 else bool(ended) and not lost
+            if len(rest) > 2:
+                raise ValueError(f"{4 + len(rest)} entries")
+            found.append((float(p), task.input_index(to), float(reward), bool(ended), lost, success))
+    except TaskliftError as error:
+        raise TaskliftError(f"{where}: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise TaskliftError(
+            f"{where}: expected branches (probability, next state, reward, ended, then perhaps losses and success), "
+            f"found {shown(given)}"
+        ) from error
+    if not found:
+        raise TaskliftError(f"{where}: expected at least one branch (probability, next state, reward, ended)")
+    return found

@@ -3,6 +3,9 @@
 
 No checks are made here; :class:`tasklift.learning.model.Model` makes them. Shapes: ``N`` states, ``A`` outputs of the
 world, ``K`` branches of a transition; ``S × a`` the table that is learned.
+
+Functions that are called from Python at every step take few arguments, because each one costs time: a learner's
+numbers are one array (``settings``), and so are its rows of scratch (``scratch``, float64 (2, a)).
 """
 
 from typing import Any, NamedTuple
@@ -15,6 +18,10 @@ from tasklift.tasks import choice as rules
 _draw = njit(rules.draw)
 _probabilities = njit(rules.probabilities)
 _step_size = njit(rules.step_size)
+
+
+#: What the numbers of a learner's ``settings`` are, float64 (8,).
+RULE, LEAST_STEP, STEP_POWER, DISCOUNT, TEMPERATURE, PENALTY, EPSILON, LEARN = range(8)
 
 
 class Arrays(NamedTuple):
@@ -51,63 +58,62 @@ def look(values, row, possible, seen):
 
 
 @njit(cache=True)
-def choose(values, row, possible, settings, epsilon, u, seen, likely):
-    """Return the output that is chosen at a row with the random number ``u``."""
-    look(values, row, possible, seen)
-    _probabilities(seen, epsilon, settings[4], likely)
-    return _draw(likely, u)
+def choose(values, settings, row, possible, u, scratch):
+    """Return the output that is chosen at a row with the random number ``u``; −1 if none is possible."""
+    if look(values, row, possible, scratch[0]) == -np.inf:
+        return -1
+    _probabilities(scratch[0], settings[EPSILON], settings[TEMPERATURE], scratch[1])
+    return _draw(scratch[1], u)
 
 
 @njit(cache=True)
-def follow(
-    values, visits, settings, row, column, reward, lost, after, last, possible, epsilon, u, learn, seen, likely
-):
-    """Learn from one step, and choose the next output with ``u``; the arrays change in place if ``learn``.
+def follow(values, visits, settings, row, column, reward, lost, after, last, possible, u, scratch):
+    """Learn from one step, and choose the next output with ``u``; ``values`` and ``visits`` change in place.
 
     ``after`` is the next row, −1 if the trial has ended; ``last``: it goes no further, ended or cut off. ``possible``
-    (a,) are the outputs possible there, ``seen`` and ``likely`` (a,) scratch. Returns −1 where none is chosen.
+    (a,) are the outputs possible there. Returns −1 where none is chosen. A trial that is cut off where no output is
+    possible is worth nothing beyond.
     """
-    rule, least, power, discount, _, penalty = settings
-    sarsa = learn and rule == 1
-    target, then = reward - penalty * lost, -1
-    if after >= 0:
+    rule, learn = settings[RULE], settings[LEARN] != 0.0
+    sarsa = learn and rule == 1.0
+    then = -1
+    worth = look(values, after, possible, scratch[0]) if after >= 0 else -np.inf
+    if worth > -np.inf and rule != 0.0:
+        then = choose(values, settings, after, possible, u, scratch)
         if sarsa:
-            then = choose(values, after, possible, settings, epsilon, u, seen, likely)
-            target += discount * values[after, then]
-        elif rule == 0:
-            target += discount * look(values, after, possible, seen)
+            worth = values[after, then]
         else:
-            choose(values, after, possible, settings, epsilon, u, seen, likely)
-            mean = 0.0
-            for i in range(len(likely)):
-                if likely[i] > 0.0:
-                    mean += likely[i] * seen[i]
-            target += discount * mean
+            worth = 0.0
+            for i in range(len(possible)):
+                if scratch[1, i] > 0.0:
+                    worth += scratch[1, i] * scratch[0, i]
     if learn:
+        target = reward - settings[PENALTY] * lost
+        if worth > -np.inf:
+            target += settings[DISCOUNT] * worth
         visits[row, column] += 1
-        size = _step_size(visits[row, column], least, power)
+        size = _step_size(visits[row, column], settings[LEAST_STEP], settings[STEP_POWER])
         values[row, column] += size * (target - values[row, column])
-    if not last and not sarsa:
-        then = choose(values, after, possible, settings, epsilon, u, seen, likely)
-    return then
+    if sarsa or last:
+        return then
+    return choose(values, settings, after, possible, u, scratch)
 
 
 @njit(cache=True)
-def trial(arrays, rows, columns, values, visits, settings, rng, epsilon, learn):
-    """Run one trial of value learning; ``values`` and ``visits``, float64 (S, a), change in place if
-    ``learn``.
+def trial(arrays, rows, columns, values, visits, settings, rng):
+    """Run one trial of value learning; ``values`` and ``visits``, float64 (S, a), change in place if it learns.
 
     Returns (steps, success, losses, return, state): the state is −1, or one whose row in ``rows`` (N,) is
     −1, which means that the world left the task; then the rest means nothing.
     """
-    seen, likely = np.empty(values.shape[1]), np.empty(values.shape[1])
+    scratch = np.empty((2, values.shape[1]))
     possible = np.ones(values.shape[1], np.bool_)
-    sarsa = learn and settings[0] == 1
+    sarsa = settings[LEARN] != 0.0 and settings[RULE] == 1.0
     state = branch(arrays.start_upto, rng.random())
     row = rows[state]
     if row < 0:
         return 0, False, 0, 0.0, state
-    column = choose(values, row, possible, settings, epsilon, rng.random(), seen, likely)
+    column = choose(values, settings, row, possible, rng.random(), scratch)
     steps, losses, total = 0, 0, 0.0
     while True:
         output = columns[column]
@@ -126,9 +132,7 @@ def trial(arrays, rows, columns, values, visits, settings, rng, epsilon, learn):
             if after < 0:
                 return 0, False, 0, 0.0, state
         u = rng.random() if not last or (sarsa and not ended) else 0.0
-        column = follow(
-            values, visits, settings, row, column, reward, lost, after, last, possible, epsilon, u, learn, seen, likely
-        )
+        column = follow(values, visits, settings, row, column, reward, lost, after, last, possible, u, scratch)
         if last:
             return steps, success, losses, total, -1
         row = after

@@ -19,8 +19,20 @@ from numpy.typing import NDArray
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, Chances
-from tasklift.learning.learner import MOST_TRIALS, Curve, Run, provenance
-from tasklift.learning.worlds import Outcomes, Record, StepOutcomes, Steps, Trials, View, joined, outcomes_of
+from tasklift.learning.learner import MOST_TRIALS, Curve, Run, keeping, provenance, run_of
+from tasklift.learning.worlds import (
+    Course,
+    Outcomes,
+    Possible,
+    Record,
+    StepOutcomes,
+    Steps,
+    Trials,
+    View,
+    joined,
+    nothing_possible,
+    outcomes_of,
+)
 from tasklift.tasks import choice as rules
 from tasklift.tasks.policy import Policy, greedy_share
 from tasklift.tasks.task import Task
@@ -117,12 +129,9 @@ class Reinforcement:
             raise TaskliftError("has no budget; give trials= or steps=")
         if run.steps is not None and self.time_signal == "baseline":
             raise TaskliftError("the baseline time signal needs the mean of a run's trials; give trials=, not steps=")
-        timed = task.time_reward != 0 and self.time_signal != "none"
-        if isinstance(world, Steps) and not (timed or self.loss_signal or task.signal_table().any()):
-            raise TaskliftError(
-                f"nothing can be learned: task {task.name!r} has no signal and no time_reward, and reinforcement does "
-                "not use the world's rewards; learn by value (learner=ValueLearning()), or declare signals"
-            )
+        if self.time_signal == "none":
+            task = replace(task, time_reward=0.0)
+        _need_signals(world, task, self.loss_signal)
 
     def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
         """Learn trial after trial, outputs chosen by weight; see :class:`.Learner`.
@@ -205,6 +214,7 @@ class Sweep:
         """Raise :class:`TaskliftError` for a stage that gives a sweep another budget than its own."""
         if run.trials is not None or run.steps is not None:
             raise TaskliftError("a sweep has its own budget; drop trials= and steps=")
+        _need_signals(world, task, 0.0 if self.reinforcement.sweep_credit == "all" else self.reinforcement.loss_signal)
         whole_number(self.repeats, "sweep, repeats", 1, MOST_TRIALS // task.shape[1])
 
     def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:
@@ -253,7 +263,18 @@ class Fixed:
         if policy.kind != "weight" and self.reinforcement.selection != "exploitation":
             raise TaskliftError(f"fixed: {policy.kind}s cannot be drawn in proportion; select by 'exploitation'")
         weights = policy.weights.copy()
-        return Curve(policy, _run_trials(world, policy.task, weights, run, self.reinforcement, learn=False))
+        parts: list[Outcomes] = []
+        _run_trials(world, policy.task, weights, run, self.reinforcement, parts, learn=False)
+        return Curve(policy, joined(parts))
+
+
+def _need_signals(world: Trials | Steps, task: Task, loss_signal: float) -> None:
+    """Refuse to reinforce on a world met step by step without any signal."""
+    if isinstance(world, Steps) and not (task.time_reward or loss_signal or task.signal_table().any()):
+        raise TaskliftError(
+            f"nothing can be learned: task {task.name!r} has no signal and no time_reward, and reinforcement does "
+            "not use the world's rewards; learn by value (learner=ValueLearning()), or declare signals"
+        )
 
 
 def sweep(
@@ -349,7 +370,7 @@ def reinforce(
     >>> bool((rest.policy.weights == whole.policy.weights).all())
     True
     """
-    return reinforcement.learn(world, policy, Run(trials=trials, **run))
+    return reinforcement.learn(world, policy, run_of("reinforce", {"trials": trials, **run}))
 
 
 def _learned(
@@ -364,9 +385,16 @@ def _learned(
     if policy.kind != "weight":
         raise TaskliftError(f"{how}: expected a policy of weights, found one of {policy.kind}s")
     weights = policy.weights.copy()
-    outcomes = _run_trials(world, policy.task, weights, run, reinforcement, outputs)
-    history = provenance(how, learner, policy, run, outcomes)
-    return Curve(replace(policy, weights=weights, provenance=history), outcomes)
+    parts: list[Outcomes] = []
+
+    def curve() -> Curve:
+        outcomes = joined(parts)
+        history = provenance(how, learner, policy, run, outcomes)
+        return Curve(replace(policy, weights=weights, provenance=history), outcomes)
+
+    with keeping(curve):
+        _run_trials(world, policy.task, weights, run, reinforcement, parts, outputs)
+    return curve()
 
 
 def _run_trials(
@@ -375,35 +403,43 @@ def _run_trials(
     weights: NDArray[np.float64],
     run: Run,
     reinforcement: Reinforcement,
+    parts: list[Outcomes],
     outputs: NDArray[np.int64] | None = None,
     learn: bool = True,
-) -> Outcomes:
-    """Run trials that update ``weights`` in place."""
+) -> None:
+    """Run trials that update ``weights`` in place, and add their outcomes to ``parts``, an empty list."""
     trials_of = StepTrials(world) if isinstance(world, Steps) else world
 
     def some(part: Run, trials: int) -> Outcomes:
-        return trials_of.run(
-            task,
-            weights,
-            trials=trials,
-            seed=part.seed,
-            stage=part.stage,
-            reinforcement=reinforcement,
-            outputs=outputs,
-            first_trial=part.first_trial,
-            learn=learn,
-            max_losses=part.max_losses,
-        )
+        try:
+            outcomes = trials_of.run(
+                task,
+                weights,
+                trials=trials,
+                seed=part.seed,
+                stage=part.stage,
+                reinforcement=reinforcement,
+                outputs=outputs,
+                first_trial=part.first_trial,
+                learn=learn,
+                max_losses=part.max_losses,
+            )
+        except BaseException as error:
+            parts.extend(getattr(error, "outcomes", ()))
+            raise
+        parts.append(outcomes)
+        return outcomes
 
     if run.steps is None:
-        return some(run, run.trials or 0)
+        some(run, run.trials or 0)
+        return
     # a world of whole trials does not count steps, so ask after each trial
-    parts: list[Outcomes] = []
     steps = losses = 0
     while run.goes_on(len(parts), steps, losses):
-        parts.append(some(run.after(len(parts), steps, losses), 1))
-        steps, losses = steps + int(parts[-1].steps[0]), losses + int(parts[-1].losses[0])
-    return joined(parts) if parts else some(run, 0)
+        outcomes = some(run.after(len(parts), steps, losses), 1)
+        steps, losses = steps + int(outcomes.steps[0]), losses + int(outcomes.losses[0])
+    if not parts:
+        some(run, 0)
 
 
 # -- worlds that are met step by step --------------------------------------------------------------------------
@@ -443,7 +479,10 @@ class StepTrials:
         learn: bool = True,
         max_losses: int | None = None,
     ) -> StepOutcomes:
-        """Run trials and update ``weights``, float64 (S, A), in place; as :class:`.Trials` asks."""
+        """Run trials and update ``weights``, float64 (S, A), in place; as :class:`.Trials` asks.
+
+        What is raised on the way has the outcomes until then, in a list, as its attribute ``outcomes``.
+        """
         view = View(self.world, task)
         # in a sweep the output is not the learner's choice, so it is not punished for being impossible
         chosen = outputs is None or reinforcement.sweep_credit == "visited"
@@ -451,67 +490,89 @@ class StepTrials:
         records: list[Record] = []
         chances = Chances(seed, stage)
         lost = counted = 0
-        for i in range(trials):
-            if max_losses is not None and lost >= max_losses:
-                break
-            fixed = None if outputs is None else int(outputs[i])
-            trial = _Trial(self.world, view, weights, signals, reinforcement, fixed, learn)
-            records.append(trial.run(chances.of(first_trial + i), counted / i if i else -1.0))
-            steps, success, losses, _ = records[-1]
-            lost += losses
-            counted += steps if success else self.world.limit
+        try:
+            for i in range(trials):
+                if max_losses is not None and lost >= max_losses:
+                    break
+                fixed = None if outputs is None else int(outputs[i])
+                trial = _Trial(task, weights, signals, reinforcement, fixed, learn, chances.of(first_trial + i))
+                records.append(view.play(trial.rng, trial.course))
+                steps, success, losses, _ = records[-1]
+                # a failed trial must not look fast to the time signal, however early it ended
+                taken = steps if success else self.world.limit
+                trial.finish(taken, self.world.limit, counted / i if i else -1.0)
+                lost, counted = lost + losses, counted + taken
+        except BaseException as error:
+            error.outcomes = [outcomes_of(records, self.world.limit)]  # type: ignore[attr-defined]
+            raise
         return outcomes_of(records, self.world.limit)
 
 
 class _Trial:
-    """One trial under reinforcement of weights (sections V and VI; Table III)."""
+    """One trial under reinforcement of weights (sections V and VI; Table III), of one agent or of several."""
 
     def __init__(
         self,
-        world: Steps,
-        view: View,
+        task: Task,
         weights: NDArray[np.float64],
         signals: NDArray[np.float64],
         settings: Reinforcement,
         fixed: int | None,
         learn: bool,
+        rng: np.random.Generator,
     ) -> None:
-        self.world, self.view, self.weights, self.signals = world, view, weights, signals
-        self.settings, self.fixed, self.learn = settings, fixed, learn
+        self.task, self.weights, self.signals = task, weights, signals
+        self.settings, self.fixed, self.learn, self.rng = settings, fixed, learn, rng
         self.to_all = fixed is not None and settings.sweep_credit == "all"
         self.greedy = greedy_share(settings.selection, settings.q)
         self.used: dict[tuple[int, int], None] = {}
 
-    def run(self, rng: np.random.Generator, usual_steps: float) -> Record:
-        """Run the trial; ``usual_steps`` is the mean of those before, or below 0."""
-        row = self.view.row(self.world.start(rng))
-        steps, losses, total = 0, 0, 0.0
-        ended = cut = success = False
-        while not (ended or cut) and steps < self.world.limit:
-            coin, u = rng.random(), rng.random()
-            column = rules.select(self.weights[row], self.greedy, coin, u) if self.fixed is None else self.fixed
+    def course(self, row: int, possible: Possible) -> Course:
+        """Act and learn in one trial, as one agent."""
+        last = False
+        while not last:
+            column = self._chosen(row, possible)
             first = (row, column) not in self.used
             self.used[row, column] = None
             if not self.to_all and (first or self.settings.credit == "decision"):
                 self._signal(row, column, self.signals[row, column])
-            answer = self.world.step(self.view.columns[column])
-            steps, losses, total = steps + 1, losses + answer.lost, total + answer.reward
-            if answer.lost and not self.to_all:
-                self._signal(row, column, self.settings.loss_signal * answer.lost)
-            ended, cut, success = answer.ended, answer.cut, answer.success
-            if not ended:
-                row = self.view.row(answer.input)
-        # a failed trial must not look fast to the time signal, however early it ended
-        self._finish(steps if success else self.world.limit, usual_steps)
-        return steps, success, losses, total
+            after, possible, _, lost, last = yield column
+            if lost and not self.to_all:
+                self._signal(row, column, self.settings.loss_signal * lost)
+            row = after
+        yield -1
+
+    def _chosen(self, row: int, possible: Possible) -> int:
+        coin, u = self.rng.random(), self.rng.random()
+        if possible is None:
+            return rules.select(self.weights[row], self.greedy, coin, u) if self.fixed is None else self.fixed
+        columns = np.flatnonzero(possible)
+        if not len(columns):
+            raise nothing_possible(self.task, row)
+        if self.fixed is None:
+            return int(columns[rules.select(self.weights[row, columns], self.greedy, coin, u)])
+        if not possible[self.fixed]:
+            raise TaskliftError(
+                f"sweep: the world says that {self.task.output_values(self.fixed)} is impossible at "
+                f"{self.task.input_values(row)}; a sweep tries every output everywhere, so use another learner here"
+            )
+        return self.fixed
 
     def _signal(self, row: int, column: int, signal: float) -> None:
         if self.learn:
             self.weights[row, column] = rules.reinforce(self.weights[row, column], signal, self.settings.floor)
 
-    def _finish(self, steps: int, usual_steps: float) -> None:
-        """Apply the global signal of the time taken, and a sweep's credit to all inputs."""
-        size, limit = self.view.task.time_reward, self.world.limit
+    def finish(self, steps: int, limit: int, usual_steps: float) -> None:
+        """Apply the global signal of the time taken, and a sweep's credit to all inputs.
+
+        Parameters
+        ----------
+        steps, limit
+            Of the trial.
+        usual_steps
+            The mean of the trials before, or below 0.
+        """
+        size = self.task.time_reward
         reward = 0.0
         if self.fixed is not None or self.settings.time_signal == "inverted":  # a sweep is judged by its time
             reward = rules.time_inverted(size, steps, limit)

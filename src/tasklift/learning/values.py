@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import isfinite
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
 import numpy as np
@@ -21,10 +20,20 @@ from numpy.typing import NDArray
 
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import GREEDY_STAGE
-from tasklift.learning.learner import Curve, Run, provenance
+from tasklift.learning.learner import Curve, Run, keeping, provenance, run_of
 from tasklift.learning.model import Model
 from tasklift.learning.reinforcement import Fixed
-from tasklift.learning.worlds import Outcomes, Record, Steps, Trials, View, outcomes_of
+from tasklift.learning.worlds import (
+    Course,
+    Outcomes,
+    Possible,
+    Record,
+    Steps,
+    Trials,
+    View,
+    nothing_possible,
+    outcomes_of,
+)
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import plain_number
@@ -147,6 +156,9 @@ class ValueLearning:
             raise TaskliftError("the world runs whole trials only; a learner by value must meet it by steps")
         if run.trials is None and run.steps is None:
             raise TaskliftError("has no budget; give trials= or steps=")
+        told = isinstance(world, Model) and not world.reward.any() and not (self.loss_penalty and world.lost.any())
+        if told and self.initial_value == 0:
+            raise TaskliftError("nothing can be learned: the model has no reward, and no loss with a loss_penalty")
         stuck = task.impossible_table().all(axis=1)
         if stuck.any():
             raise TaskliftError(
@@ -167,7 +179,7 @@ class ValueLearning:
         world
             A :class:`~tasklift.learning.model.Model` runs compiled; any other world runs at the speed of Python.
         callback
-            Called after each trial with an :class:`Episode`; the run stops early where it returns True.
+            Called after each trial with an :class:`Episode`; the run stops early where it returns something true.
 
         Raises
         ------
@@ -196,7 +208,7 @@ class ValueLearning:
 
         def stop(record: Record) -> bool:
             number = run.first_trial + len(records) - 1
-            return callback is not None and callback(Episode(number, *record, watched)) is True
+            return callback is not None and bool(callback(Episode(number, *record, watched)))
 
         def curve() -> Curve:
             outcomes = outcomes_of(records, world.limit)
@@ -205,11 +217,8 @@ class ValueLearning:
             learned = np.where(np.isneginf(values), policy.weights, values)
             return Curve(replace(policy, weights=learned, provenance=history, carried=kept), outcomes)
 
-        try:
+        with keeping(curve):
             run.play(trial, records, stop)
-        except BaseException as error:
-            error.curve = curve()  # type: ignore[attr-defined]
-            raise
         return curve()
 
     def count_as(self, policy: Policy, trust: float) -> Policy:
@@ -279,7 +288,8 @@ def learn_values(
     >>> curve.policy.best()[:4].tolist()
     [1, 1, 1, 1]
     """
-    return learning.learn(world, policy or learning.start(task or world.task), Run(**run), callback=callback)
+    asked = run_of("learn_values", run)
+    return learning.learn(world, policy or learning.start(task or world.task), asked, callback=callback)
 
 
 def evaluate(
@@ -324,7 +334,7 @@ def evaluate(
     >>> evaluate(hunt, Policy.equal(hunt.task), trials=10).summary()["trials"]
     10
     """
-    asked = Run(trials=trials, stage=stage, **run)
+    asked = run_of("evaluate", {"trials": trials, "stage": stage, **run})
     if not isinstance(world, Steps):
         if epsilon:
             raise TaskliftError(f"evaluate, epsilon: a world of whole trials has no random outputs, found {epsilon}")
@@ -342,17 +352,27 @@ def _trial_of(
     learning: ValueLearning,
 ) -> Callable[[np.random.Generator, float, bool], Record]:
     """Return the function that runs one trial: compiled where the world is an explicit model."""
+    from tasklift.learning.model_kernel import EPSILON, LEARN
+
     rule = ("q-learning", "sarsa", "expected-sarsa").index(learning.rule)
-    step_size, power = float(learning.step_size), float(learning.step_power)
-    settings = (
-        rule, step_size, power, float(learning.discount), float(learning.temperature), float(learning.loss_penalty)
-    )  # fmt: skip
+    settings = np.array([
+        rule, learning.step_size, learning.step_power, learning.discount, learning.temperature, learning.loss_penalty,
+        0.0, 0.0,
+    ])  # fmt: skip
     if isinstance(world, Model):
-        return world.compiled_trial(task, values, visits, settings)
-    view = View(world, task)
+        run = world.compiled_trial(task, values, visits, settings)
+    else:
+        view, scratch = View(world, task), np.empty((2, values.shape[1]))
+
+        def run(rng: np.random.Generator) -> Record:
+            def agent(row: int, possible: Possible) -> Course:
+                return _course(task, values, visits, settings, rng, row, possible, scratch)
+
+            return view.play(rng, agent)
 
     def trial(rng: np.random.Generator, epsilon: float, learn: bool) -> Record:
-        return _trial(world, view, values, visits, settings, rng, epsilon, learn)
+        settings[EPSILON], settings[LEARN] = epsilon, learn
+        return run(rng)
 
     return trial
 
@@ -362,53 +382,28 @@ def _without_impossible(policy: Policy) -> NDArray[np.float64]:
     return np.where(policy.task.impossible_table(), -np.inf, policy.weights)
 
 
-def _possible(world: Steps, view: View, everything: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which of the task's outputs the world says are possible now, bool (a,)."""
-    found = getattr(world, "possible", None)
-    if found is None:
-        return everything
-    here = np.asarray(found, np.bool_)[view.columns]
-    if not here.any():
-        raise TaskliftError(f"task {view.task.name!r}: the world says that all its outputs are impossible now")
-    return here
-
-
-def _trial(
-    world: Steps,
-    view: View,
+def _course(
+    task: Task,
     values: NDArray[np.float64],
     visits: NDArray[np.float64],
-    settings: tuple[int, float, float, float, float, float],
+    settings: NDArray[np.float64],
     rng: np.random.Generator,
-    epsilon: float,
-    learn: bool,
-) -> Record:
-    """Run one trial; the same steps, in the same order, as ``model_kernel.trial``, which is compiled."""
-    from tasklift.learning.model_kernel import choose, follow
+    row: int,
+    possible: Possible,
+    scratch: NDArray[np.float64],
+) -> Course:
+    """Act and learn in one trial; the same steps, in the same order, as ``model_kernel.trial``, which is compiled."""
+    from tasklift.learning.model_kernel import LEARN, RULE, choose, follow
 
     everything = np.ones(values.shape[1], np.bool_)
-    seen, likely = np.empty(values.shape[1]), np.empty(values.shape[1])
-    sarsa = learn and settings[0] == 1
-    limit, columns = world.limit, view.columns
-    row = view.row(world.start(rng))
-    possible = _possible(world, view, everything)
-    column = choose(values, row, possible, settings, epsilon, rng.random(), seen, likely)
-    steps, losses, total = 0, 0, 0.0
+    sarsa = settings[LEARN] != 0.0 and settings[RULE] == 1.0
+    here = everything if possible is None else possible
+    column, last = choose(values, settings, row, here, rng.random(), scratch), False
     while True:
-        _, reward, ended, lost, success, cut = answer = world.step(columns[column])
-        if not isfinite(reward):
-            raise TaskliftError(f"step {steps + 1}: the world gave the reward {reward}; expected a finite number")
-        steps, losses, total = steps + 1, losses + lost, total + reward
-        last = ended or cut or steps >= limit
-        after = -1
-        if not ended:
-            after = view.row(answer.input)
-            possible = _possible(world, view, everything)
-        u = rng.random() if not last or (sarsa and not ended) else 0.0
-        column = follow(
-            values, visits, settings, row, column, float(reward), int(lost), after, last,
-            possible, epsilon, u, learn, seen, likely,
-        )  # fmt: skip
-        if last:
-            return steps, success, losses, total
+        if column < 0 and not last:
+            raise nothing_possible(task, row)
+        after, possible, reward, lost, last = yield column
+        here = everything if possible is None else possible
+        u = rng.random() if not last or (sarsa and after >= 0) else 0.0
+        column = follow(values, visits, settings, row, column, reward, lost, after, last, here, u, scratch)
         row = after

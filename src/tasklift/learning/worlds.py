@@ -10,9 +10,10 @@ Shapes: ``S`` inputs, ``A`` outputs, ``n`` trials.
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from math import isfinite, nan
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from tasklift.checks import one_of, whole_number
 from tasklift.errors import TaskliftError, missing
 from tasklift.style import SERIES
 from tasklift.tasks.task import Task
-from tasklift.text import html_picture
+from tasklift.text import html_picture, shown
 
 # -- what comes of trials --------------------------------------------------------------------------------------
 
@@ -248,7 +249,16 @@ class Trials(Protocol):
 # -- worlds that are met step by step --------------------------------------------------------------------------
 
 
-class Step(NamedTuple):
+class _Answer(NamedTuple):
+    input: int
+    reward: float
+    ended: bool
+    lost: int = 0
+    success: bool = False
+    cut: bool = False
+
+
+class Step(_Answer):
     """What a world answers to one output.
 
     Attributes
@@ -266,14 +276,51 @@ class Step(NamedTuple):
     cut
         Whether the world cuts the trial off here, though it has not ended: learners take the next input's value for
         what would have come.
+
+    Raises
+    ------
+    TaskliftError
+        If the reward is not a finite number, or the losses are not a whole number of at least 0.
+
+    Examples
+    --------
+    >>> Step(3, -1.0, ended=False)
+    Step(input=3, reward=-1.0, ended=False, lost=0, success=False, cut=False)
+    >>> Step(3, -1.0, ended=True, lost=0.5)
+    Traceback (most recent call last):
+    tasklift.errors.TaskliftError: step, lost: expected a whole number of at least 0, found 0.5; count in smaller units
     """
 
-    input: int
-    reward: float
-    ended: bool
-    lost: int = 0
-    success: bool = False
-    cut: bool = False
+    __slots__ = ()
+
+    #: Makes a step of all six, which were checked before.
+    unchecked: ClassVar[Any] = classmethod(tuple.__new__)
+
+    def __new__(
+        cls, input: int, reward: float, ended: bool, lost: int = 0, success: bool = False, cut: bool = False
+    ) -> Step:
+        """Check what is answered."""
+        given = reward
+        try:
+            reward = float(reward)
+        except (TypeError, ValueError):
+            reward = nan
+        if not isfinite(reward):
+            raise TaskliftError(f"step, reward: expected a finite number, found {shown(given)}")
+        return cls.unchecked((input, reward, ended, _count(lost) if lost != 0 else 0, success, cut))
+
+
+def _count(lost: Any) -> int:
+    """Return losses as a number of Python's; truth values count as 0 and 1."""
+    try:
+        found = int(lost)
+    except (TypeError, ValueError, OverflowError):
+        found = -1
+    if found < 0 or found != lost:
+        raise TaskliftError(
+            f"step, lost: expected a whole number of at least 0, found {shown(lost)}; count in smaller units"
+        )
+    return found
 
 
 @runtime_checkable
@@ -281,7 +328,11 @@ class Steps(Protocol):
     """A world that is met step by step; :func:`tasklift.testing.check_world` tests one.
 
     An optional attribute ``possible``, bool (A,) or None, says which outputs are possible at the present input, beside
-    what the task says; learners by value choose among them.
+    what the task says; learners choose among them.
+
+    A world of several agents that share one policy has their names as ``agents``. Its ``start`` returns ``{agent:
+    input}``, its ``step`` takes ``{agent: output}`` and returns ``{agent: Step}``, and its ``possible`` is ``{agent:
+    mask}``. An agent whose step has ended, or is cut, is left out from then on.
 
     Examples
     --------
@@ -318,37 +369,132 @@ class Steps(Protocol):
         ...
 
 
+Possible = NDArray[np.bool_] | None
+"""Which of a task's outputs, bool (a,), are possible now; None: the world does not say."""
+
+Experience = tuple[int, Possible, float, int, bool]
+"""What came of an output: the next row (−1 where the trial has ended), the outputs possible there, reward, losses, and
+whether it is the trial's last."""
+
+Course = Generator[int, Experience, None]
+"""One agent's course of a trial: yields its outputs, by column, and is sent what came of each. The answer to the last
+experience is not looked at."""
+
+Agent = Callable[[int, Possible], Course]
+"""Begins a course, given the first row and the outputs possible there."""
+
+
 class View:
-    """A world seen through a task that is the world's own or a simplification of it.
+    """A world met step by step, seen through a task that is the world's own or a simplification of it.
+
+    Learners run their trials through it, so that what a world answers is checked in one place.
 
     Raises
     ------
     TaskliftError
-        If the task is neither; says which variable differs.
+        If the task is neither, and says which variable differs; if the world's limit is not a number of steps.
     """
 
     def __init__(self, world: Steps, task: Task) -> None:
         ancestor = task.ancestor(world.task)
-        self.task = task
+        self.task, self.world = task, world
+        self.limit = whole_number(world.limit, "world, limit", least=1)
         self._full = world.task
         self._rows: dict[int, int] = {}
-        self.columns: list[int] = task.output_columns(ancestor).tolist()
+        self._columns = task.output_columns(ancestor)
 
-    def row(self, input: int) -> int:
-        """Return the task's row for an input of the world; rows are looked up as they turn up.
+    def play(self, rng: np.random.Generator, agent: Agent) -> Record:
+        """Run one trial in which ``agent`` decides; in a world of several agents, each has its own course of it.
+
+        The steps are the world's. Losses and returns are sums over the agents; the trial succeeds if it does for all
+        agents that are there at its end.
 
         Raises
         ------
         TaskliftError
-            If the task leaves that input out.
+            If an answer is not a :class:`Step`, or an input is one that the task leaves out.
         """
-        if input not in self._rows:
+        if hasattr(self.world, "agents"):
+            return self._play_team(rng, agent)
+        world, columns = self.world, self._columns.tolist()
+        row = self._row(world.start(rng))
+        course = agent(row, self._possible(getattr(world, "possible", None)))
+        column = next(course)
+        steps, losses, total, last = 0, 0, 0.0, False
+        while not last:
+            answer = world.step(columns[column])
+            steps += 1
+            experience = self._experience(answer, steps, getattr(world, "possible", None))
+            losses, total, last = losses + answer.lost, total + answer.reward, experience[4]
+            column = course.send(experience)
+        return steps, bool(answer.success), losses, total
+
+    def _play_team(self, rng: np.random.Generator, agent: Agent) -> Record:
+        world: Any = self.world
+        courses: dict[str, Course] = {}
+        chosen: dict[str, int] = {}
+        inputs, possible = world.start(rng), getattr(world, "possible", {})
+        for name, seen in inputs.items():
+            courses[name] = agent(self._row(seen), self._possible(possible.get(name)))
+            chosen[name] = next(courses[name])
+        steps, losses, total, success = 0, 0, 0.0, False
+        while chosen:
+            answers = world.step({name: int(self._columns[column]) for name, column in chosen.items()})
+            if answers.keys() != chosen.keys():
+                raise TaskliftError(f"world: expected answers for {shown(list(chosen))}, found {shown(list(answers))}")
+            steps, possible, chosen = steps + 1, getattr(world, "possible", {}), {}
+            for name, answer in answers.items():
+                experience = self._experience(answer, steps, possible.get(name))
+                column = courses[name].send(experience)
+                losses, total = losses + answer.lost, total + answer.reward
+                if not experience[4]:
+                    chosen[name] = column
+            success = all(answer.success for answer in answers.values())
+        return steps, success, losses, total
+
+    def _experience(self, answer: Step, steps: int, possible: Any) -> Experience:
+        """Return what a learner makes of a world's answer."""
+        if not isinstance(answer, Step):
+            raise TaskliftError(f"world, step {steps} of a trial: expected a Step, found {shown(answer)}")
+        seen, reward, ended, lost, _, cut = answer
+        if ended:
+            return -1, None, reward, lost, True
+        last = bool(cut) or steps >= self.limit
+        return self._row(seen), None if possible is None else self._possible(possible), reward, lost, last
+
+    def _row(self, input: int) -> int:
+        """Return the task's row for an input of the world; rows are looked up as they turn up."""
+        try:
+            row = self._rows.get(input)
+        except TypeError as error:
+            raise TaskliftError(f"world: expected the number of an input, found {shown(input)}") from error
+        if row is None:
             values = self._full.input_values(input)
             row = self.task.row_of(values)
             if row < 0:
                 raise stray_input(values, self.task)
             self._rows[input] = row
-        return self._rows[input]
+        return row
+
+    def _possible(self, mask: Any) -> NDArray[np.bool_] | None:
+        """Return which of the task's outputs the world says are possible, bool (a,)."""
+        if mask is None:
+            return None
+        possible = np.asarray(mask, np.bool_)
+        if possible.shape != (self._full.shape[1],):
+            raise TaskliftError(
+                f"world, possible: expected a truth value for each of its {self._full.shape[1]} outputs, found "
+                f"{shown(mask)}"
+            )
+        return possible[self._columns]
+
+
+def nothing_possible(task: Task, row: int) -> TaskliftError:
+    """Return the error for an input at which the task and the world together leave no output to choose."""
+    return TaskliftError(
+        f"task {task.name!r}: no output is possible at {task.input_values(row)}, by the task and by what the world "
+        "says (possible, info['action_mask'])"
+    )
 
 
 def stray_input(values: Mapping[str, Any], task: Task) -> TaskliftError:

@@ -47,7 +47,7 @@ from tasklift.building import Building, Mission, Reading, generate
 from tasklift.building.search import hostile_candidates
 from tasklift.building.terms import FIELDS, TERMS, terms_from_json, terms_of
 from tasklift.checks import check_fields, one_of
-from tasklift.envs.gymnasium import Event, Factored, make_environment
+from tasklift.envs.gymnasium import Event, Factored, has_table, make_environment
 from tasklift.errors import TaskliftError
 from tasklift.files import canonical_json, parse_json, parse_toml, read_text
 from tasklift.learning.curriculum import Curriculum
@@ -379,9 +379,11 @@ def _gymnasium(environment: Mapping[str, Any], task: Task, code: OwnCode) -> Any
         code.module(module, "environment")
     env = make_environment(name, data["options"])
     judges = {name: _judge(data[name], task, name) for name in ("loss", "success") if name in data}
-    world = Factored(env, task, limit=data.get("limit"), mask=None, **judges)
+    # a table of transitions knows no masks, and where one stage has a table, all are to choose alike
+    mask = None if has_table(env) else "action_mask"
+    world = Factored(env, task, limit=data.get("limit"), mask=mask, **judges)
     try:
-        return world.model() if world.has_model else world
+        return world.model() if has_table(env) else world
     except TaskliftError:  # its table of transitions is not all of it: then the environment itself, step by step
         return world
 

@@ -69,20 +69,38 @@ def _check_steps(world: Steps, trials: int, seed: int) -> None:
         )
 
 
-def _walk(world: Steps, trial: int, seed: int) -> list[Any]:
-    """Run a trial with outputs at random; return the first input and every answer."""
+def _walk(world: Any, trial: int, seed: int) -> list[Any]:
+    """Run a trial with possible outputs at random; return the first input and every answer, by agent if several."""
     inputs, outputs = world.task.shape
-    choose = np.random.default_rng([seed, trial])
-    begun = world.start(Chances(seed, 0).of(trial))
-    assert _whole(begun, 0, inputs), f"world, start: expected an input from 0 to {inputs - 1}, found {begun!r}"
-    answers: list[Any] = [int(begun)]
-    while len(answers) <= world.limit:
-        answer = world.step(int(choose.integers(outputs)))
-        _check_answer(answer, inputs)
-        answers.append(answer)
-        if answer.ended:
-            break
-    return answers
+    choose, team = np.random.default_rng([seed, trial]), hasattr(world, "agents")
+
+    def by_agent(value: Any) -> dict[Any, Any]:
+        return dict(value or {}) if team else {None: value}
+
+    begun = by_agent(world.start(Chances(seed, 0).of(trial)))
+    for seen in begun.values():
+        assert _whole(seen, 0, inputs), f"world, start: expected an input from 0 to {inputs - 1}, found {seen!r}"
+    walked: list[Any] = [{agent: int(seen) for agent, seen in begun.items()}]
+    acting = list(begun)
+    while acting and len(walked) <= world.limit:
+        masks = by_agent(getattr(world, "possible", None))
+        chosen = {agent: _choice(masks.get(agent), outputs, choose) for agent in acting}
+        answers = by_agent(world.step(chosen if team else chosen[None]))
+        for answer in answers.values():
+            _check_answer(answer, inputs)
+        assert answers.keys() == chosen.keys(), f"world, step: expected answers for {acting}, found {list(answers)}"
+        walked.append(answers)
+        acting = [agent for agent, answer in answers.items() if not (answer.ended or answer.cut)]
+    return walked
+
+
+def _choice(mask: Any, outputs: int, choose: np.random.Generator) -> int:
+    """Return an output at random, among those that the world says are possible."""
+    if mask is None:
+        return int(choose.integers(outputs))
+    assert np.shape(mask) == (outputs,), f"world, possible: expected {outputs} truth values, found {mask!r}"
+    assert np.any(mask), "world, possible: no output is possible in a trial that goes on"
+    return int(choose.choice(np.flatnonzero(mask)))
 
 
 def _check_answer(answer: Step, inputs: int) -> None:

@@ -139,7 +139,8 @@ def test_traces_and_single_steps():
 
 def test_steered_simulations():
     simulator = HUNT.simulator
-    rewards = {"progress_reward": 1.0, "loss_reward": -1.0, "success_reward": 1.0, "signal_weight": 0.0}
+    names = ("progress_reward", "loss_reward", "success_reward", "signal_weight", "team_share")
+    rewards = dict.fromkeys(names, 1.0)
     drive(simulator.steered, {"n": 2, **rewards}, (*ODD, 0, 2**40))
     steered, learner = simulator.steered(2, **rewards), simulator.learner(TASK, LEARNER, learn=False)
     other = Mission(generate(seed=3), "10+5").simulator.steered(2, **rewards)

@@ -40,26 +40,26 @@ def test_pettingzoos_own_tests() -> None:
     parallel_seed_test(lambda: SearchEnv(mission()), num_cycles=60)
 
 
+@pytest.mark.parametrize("patience", [1, 7, 60])
 @pytest.mark.parametrize("reading", [SCATTERED, COHESIVE, Reading(drill=True), Reading(suspicion_goal=False)])
-def test_step_for_step_it_is_the_simulator(reading: Reading) -> None:
+def test_step_for_step_it_is_the_simulator(reading: Reading, patience: int) -> None:
     # one heaviest output per input, so that both make the same decisions; the edges are drawn with the same chances
     there = mission(reading)
     weights = np.random.default_rng(1).random(there.task.shape)
     weights[:, :22] *= 0.8  # moving is heavier more often than not
     policy = tl.Policy(there.task, weights)
     greedy = tl.Reinforcement(selection="exploitation")
-    eager = there.with_reading(patience=1, decide="robot")
+    eager = there.with_reading(patience=patience, decide="robot")
     outcomes = eager.run(there.task, weights.copy(), trials=12, seed=3, stage=2, reinforcement=greedy, learn=False)
-    env = SearchEnv(there)
+    env, rng = SearchEnv(there, patience=patience), np.random.default_rng(2)
     best, sizes = policy.best(), [len(v) for v in there.task.outputs]
     for trial in range(12):
         _, infos = env.reset(seed=3) if trial == 0 else env.reset()
-        steps = losses = 0
-        success = False
+        losses, success = 0, False
         while env.agents:
-            actions = {agent: np.array(np.unravel_index(best[infos[agent]["input"]], sizes)) for agent in env.agents}
+            outputs = {a: best[infos[a]["input"]] if infos[a]["decides"] else rng.integers(44) for a in env.agents}
+            actions = {agent: np.unravel_index(output, sizes) for agent, output in outputs.items()}
             _, _, terminations, truncations, infos = env.step(actions)
-            steps += 1
             losses += sum(info["lost"] for info in infos.values())
             success = (
                 not env.agents
@@ -67,6 +67,7 @@ def test_step_for_step_it_is_the_simulator(reading: Reading) -> None:
                 and any(terminations[a] and not infos[a]["lost"] for a in terminations)
             )
         assert success == outcomes.success[trial]
+        steps = env._batch.lanes.count["step"].item()  # of the mission; one of the environment may be several
         assert (steps if success else there.limit) == outcomes.steps[trial]
         if reading.engage == "crossing" or not reading.drill:
             assert losses == outcomes.losses[trial]
@@ -111,6 +112,12 @@ def test_rewards_are_work_done_losses_signals_and_the_end() -> None:
     assert finished > 0
 
 
+NOT_VALUES: list = [
+    [0.5, 0, 0], [1, 0], [1, 0, 5, 0], [[1, 0, 5]], {0, 1, 5}, {1: 0, 0: 1, 5: 5}, b"\x01\x00\x05", [True, False, 5], 5,
+    np.array([1.0, 0, 5]), np.array([True, False, True]), [np.nan, 0, 5], [2**65, 0, 0],
+]  # fmt: skip
+
+
 def test_wrong_actions_are_named_before_anything_changes() -> None:
     env = SearchEnv(mission())
     with pytest.raises(TaskliftError, match=r"call reset\(\) before"):
@@ -120,14 +127,16 @@ def test_wrong_actions_are_named_before_anything_changes() -> None:
     for bad, message in (
         ({a: v for a, v in good.items() if a != "scout_2"}, "for 'scout_2', found None"),
         (good | {"weapon_6": [2, 0, 0]}, "for 'weapon_6'"),
-        (good | {"weapon_6": [0.5, 0, 0]}, "for 'weapon_6'"),
+        *((good | {"weapon_6": bad}, "for 'weapon_6'") for bad in NOT_VALUES),
+        ([1, 0, 5], "expected a dict"),
+        (None, "expected a dict"),
         (good | {"weapon_7": [0, 0, 0]}, "'weapon_7' is unknown"),
     ):
         with pytest.raises(TaskliftError, match=message):
             env.step(bad)
     flat = SearchEnv(mission(), act="flat")
     flat.reset(seed=0)
-    for bad_action in (44, -1, 1.5, np.array([3]), "go", None):
+    for bad_action in (44, -1, 1.5, 1.0, np.nan, True, np.bool_(True), np.array([3]), np.float64(2), "go", None):
         with pytest.raises(TaskliftError, match="for 'scout_0'"):
             flat.step(dict.fromkeys(flat.agents, bad_action))
     for option, message in (({"los_reward": 1.0}, "'los_reward'.*loss_reward"), ({"loss_reward": "1"}, "loss_reward")):
@@ -144,6 +153,26 @@ def test_wrong_actions_are_named_before_anything_changes() -> None:
         env.step({a: np.array([1, 0, 5]) for a in env.agents})
     with pytest.raises(TaskliftError, match="is over"):
         env.step(good)
+
+
+def test_whoever_takes_turns_is_told_of_wrong_actions_at_once() -> None:
+    env = tl.make(SMALL, api="aec", act="flat")
+    with pytest.raises(TaskliftError, match=r"call reset\(\) before"):
+        env.step(0)
+    env.reset(seed=0)
+    rng, lost = np.random.default_rng(0), 0
+    while env.agents:
+        agent = env.agent_selection
+        done = env.terminations[agent] or env.truncations[agent]
+        for bad in (3,) if done else (44, 1.0, True, None):
+            with pytest.raises(TaskliftError, match=f"{agent}"):
+                env.step(bad)
+            assert env.agent_selection == agent
+        lost += done
+        env.step(None if done else rng.integers(22, 44))
+    assert lost == 5
+    with pytest.raises(TaskliftError, match="is over"):
+        env.step(0)
 
 
 def test_unseeded_environments_are_different_and_seeded_ones_the_same() -> None:
@@ -216,7 +245,8 @@ def test_a_local_observation_says_what_is_around() -> None:
     corridors = BUILDING.indptr[BUILDING.start + 1] - BUILDING.indptr[BUILDING.start]
     assert seen[:6] == pytest.approx([0, 0, 1, 0, 1, 3 / 7]), "an unarmed robot at the start, where all are one team"
     assert seen[6:14].sum() == corridors
-    assert not seen[14:].any(), "nobody knows or came by any of them"
+    assert not seen[14:-1].any(), "nobody knows or came by any of them, or was alerted"
+    assert seen[-1] == 1, "everybody decides"
     observations = env.step({a: np.array([0, 0, 5]) for a in env.agents})[0]
     assert observations["weapon_4"][13:17] == pytest.approx([1, 1 / 150, 1, 1 / 21])
     known = 0.0

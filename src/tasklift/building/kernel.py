@@ -835,13 +835,21 @@ def _lane(lanes, i):
 
 @inline
 def _show(world, rules, lane, steered, i):
-    """Write out the inputs of simulation i's robots, and who lives; a lost robot keeps the input that it saw last."""
+    """Write out simulation i's inputs, who lives and who decides next; a lost robot keeps the last that it saw."""
     for k in range(lane.count[0].alive):
         sense(world, rules, lane, lane.roster[k])
         lane.robots[lane.roster[k]].seen = _seen(world, rules, lane, lane.roster[k])
     for r in range(lane.robots.shape[0]):
         steered.rows[i, r] = lane.robots[r].seen
         steered.alive[i, r] = lane.robots[r].alive
+        steered.decides[i, r] = lane.robots[r].alive & _decides(rules, lane, r)
+
+
+@inline
+def _decides(rules, lane, r):
+    """Return 1 if robot r, which has just found its input, decides in the next step, else 0 (rule 6)."""
+    robot = lane.robots[r]
+    return 1 if robot.due == 1 or lane.count[0].tick + 1 >= robot.decided + rules.patience else 0
 
 
 @_entry
@@ -860,30 +868,47 @@ def begin_many(world, rules, steered, which):
 
 @_entry
 def step_many(world, rules, learner, steered):
-    """Run one step of every simulation that goes on, and reward it; the others get nothing and stay as they are."""
+    """Step every simulation that goes on until somebody decides, and reward it; the others stay as they are."""
     for i in range(steered.state.shape[0]):
+        steered.lost[i] = 0
+        steered.rewards[i] = 0.0
         if steered.state[i] == GOES_ON:
-            _step_and_reward(world, rules, learner, steered, i)
-        else:
-            steered.lost[i] = 0
-            steered.rewards[i] = 0.0
+            _step_until_due(world, rules, learner, steered, i)
 
 
 @inline
-def _step_and_reward(world, rules, learner, steered, i):
-    lane, pay, rewards = _lane(steered.lanes, i), steered.pay[0], steered.rewards[i]
-    count, robots, alive = lane.count[0], lane.robots, steered.alive[i]
-    for r in range(robots.shape[0]):
-        lane.given[r] = steered.outputs[i, r]
-        rewards[r] = pay.signal * learner.signal[steered.rows[i, r], steered.outputs[i, r]] if alive[r] == 1 else 0.0
-    left, losses = count.edges_left + count.rooms_left + count.hostiles_left, count.losses
+def _step_until_due(world, rules, learner, steered, i):
+    lane, pay, rewards, decides = _lane(steered.lanes, i), steered.pay[0], steered.rewards[i], steered.decides[i]
+    n_robots = lane.robots.shape[0]
+    for r in range(n_robots):
+        out = steered.outputs[i, r]
+        lane.given[r] = out
+        if decides[r] == 1:
+            rewards[r] = pay.signal * learner.signal[steered.rows[i, r], out]
+    waits = True
+    while waits:
+        _step_and_reward(world, rules, learner, lane, steered, i)
+        waits = steered.state[i] == GOES_ON
+        for r in range(n_robots):
+            waits &= decides[r] == 0 and steered.lost[i, r] == 0
+    if pay.team_share > 0.0:
+        mean = rewards.sum() / n_robots
+        for r in range(n_robots):
+            rewards[r] += pay.team_share * (mean - rewards[r])
+
+
+@inline
+def _step_and_reward(world, rules, learner, lane, steered, i):
+    count, robots, pay = lane.count[0], lane.robots, steered.pay[0]
+    rewards, alive = steered.rewards[i], steered.alive[i]
+    left = count.edges_left + count.rooms_left + count.hostiles_left
     state = _step(world, rules, learner, lane)
     left -= count.edges_left + count.rooms_left + count.hostiles_left
     gain = pay.progress * left / (lane.visited.shape[0] + rules.rooms + rules.hostiles)
     if state == SUCCESS:
         gain += pay.success * (1.0 - 0.5 * count.step / rules.limit)
     for r in range(robots.shape[0]):
-        repelled = rules.drill == 1 and count.losses > losses and robots[r].repelled == 1
+        repelled = robots[r].repelled == 1 and robots[r].crossing == 1  # just now: it crosses nothing until it decides
         lost = alive[r] == 1 and (robots[r].alive == 0 or repelled)
         steered.lost[i, r] = 1 if lost else 0
         if alive[r] == 1:

@@ -40,7 +40,7 @@ COUNT = _record(
     hostiles_left="i8", losses="i8", messages="i8", used="i8", tick="i8", robot_steps="i8", arrivals="i8", outside="i8",
     key="u8",
 )  # fmt: skip
-PAY = _record(progress="f8", loss="f8", success="f8", signal="f8")  # what a steered simulation rewards
+PAY = _record(progress="f8", loss="f8", success="f8", signal="f8", team_share="f8")  # what a steered simulation rewards
 
 #: Classes of robots in one corridor, by progress and pace, whose meetings are foreseen; with more it is watched.
 CLASSES = 8
@@ -127,7 +127,7 @@ class Lane(NamedTuple):
 
 
 class Steered(NamedTuple):
-    """``n`` simulations side by side, in each of which every robot's output comes from outside in every step."""
+    """``n`` simulations side by side, in each of which every robot's output comes from outside."""
 
     lanes: Any  # a Lane, each of whose arrays has one more axis in front: (n, …)
     keys: Any  # uint64 (n, 2): of each, the hash of (seed, map, stage) and of (seed, map)
@@ -137,5 +137,6 @@ class Steered(NamedTuple):
     state: Any  # int64 (n,): GOES_ON, or how the trial ended
     rows: Any  # int64 (n, R): every robot's input, its row of the mission's table
     alive: Any  # uint8 (n, R)
+    decides: Any  # uint8 (n, R): who decides in the next step; the outputs of the others are not looked at
     lost: Any  # uint8 (n, R): who took part in a failed attack in the last step
     rewards: Any  # float64 (n, R): of the last step

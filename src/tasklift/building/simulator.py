@@ -73,6 +73,12 @@ class Simulator:
         """The kernel that shows robots this mission's inputs."""
         return kernel_for(self.mission.inputs)
 
+    @cached_property
+    def _sizes(self) -> tuple[int, ...]:
+        """Robots, nodes, edges, and the inputs and outputs of the mission's task; asked for in every step."""
+        mission = self.mission
+        return mission.n_robots, len(self.world.nodes), mission.building.n_edges, *mission.task.shape
+
     def __getstate__(self) -> dict[str, Any]:
         """Leave the kernel out, which pickle cannot keep; it is found again when it is needed."""
         return {name: value for name, value in vars(self).items() if name != "kernel"}
@@ -241,13 +247,12 @@ class Simulator:
     def _check_learner(self, learner: object, shape: tuple[int, ...]) -> None:
         if not isinstance(learner, layout.Learner) or learner.signal.shape != shape:
             raise TaskliftError("step: expected the learner of a task whose table has the shape of the lane's weights")
-        if len(learner.rows) != self.mission.task.shape[0]:
+        if len(learner.rows) != self._sizes[3]:
             raise TaskliftError("step: expected a learner that this simulator's `learner` compiled")
 
     def _check_steered(self, steered: object) -> int:
         """Return the number of simulations, or refuse what :meth:`steered` of such a simulator did not allocate."""
-        sizes = self.mission.n_robots, len(self.world.nodes), self.mission.building.n_edges, *self.mission.task.shape
-        if not isinstance(steered, layout.Steered) or sizes != (
+        if not isinstance(steered, layout.Steered) or self._sizes != (
             steered.rows.shape[1],
             steered.lanes.sites.shape[1],
             steered.lanes.visited.shape[1],
@@ -258,7 +263,7 @@ class Simulator:
 
     def _check_lane(self, lane: object) -> None:
         """Refuse what was not allocated by :meth:`lane` of a simulator of these sizes."""
-        sizes = self.mission.n_robots, len(self.world.nodes), self.mission.building.n_edges
+        sizes = self._sizes[:3]
         if not isinstance(lane, layout.Lane) or (len(lane.robots), len(lane.sites), len(lane.visited)) != sizes:
             raise TaskliftError("simulator: expected a lane that this simulator's `lane` allocated")
         if lane.used.shape != lane.weights.shape:
@@ -405,17 +410,24 @@ class Simulator:
         )
 
     def steered(
-        self, n: int, *, progress_reward: float, loss_reward: float, success_reward: float, signal_weight: float
+        self,
+        n: int,
+        *,
+        progress_reward: float,
+        loss_reward: float,
+        success_reward: float,
+        signal_weight: float,
+        team_share: float,
     ) -> layout.Steered:
         """Allocate ``n`` simulations side by side, whose robots are steered from outside.
 
-        The mission's reading must have ``decide="robot"`` and ``patience=1``, so that everyone decides in every step.
+        The mission's reading must have ``decide="robot"``. With ``patience=1`` everyone decides in every step.
 
         Parameters
         ----------
         n
             Number of simulations.
-        progress_reward, loss_reward, success_reward, signal_weight
+        progress_reward, loss_reward, success_reward, signal_weight, team_share
             What a step is rewarded with: see :class:`tasklift.envs.batch.Rewards`.
 
         Raises
@@ -438,11 +450,13 @@ class Simulator:
                 loss=[number(loss_reward, "loss_reward")],
                 success=[number(success_reward, "success_reward")],
                 signal=[number(signal_weight, "signal_weight")],
+                team_share=[number(team_share, "team_share", 0, 1)],
             ),
             outputs=np.zeros(robots, np.int64),
             state=np.full(n, FAILURE, np.int64),
             rows=np.zeros(robots, np.int64),
             alive=np.zeros(robots, np.uint8),
+            decides=np.zeros(robots, np.uint8),
             lost=np.zeros(robots, np.uint8),
             rewards=np.zeros(robots),
         )
@@ -478,7 +492,7 @@ class Simulator:
             self.kernel.begin_many(self.world, self.rules, steered, which)
 
     def step_steered(self, learner: layout.Learner, steered: layout.Steered) -> None:
-        """Run one step of every simulation that goes on, with the outputs in ``steered.outputs``.
+        """Step every simulation that goes on until a robot decides or is lost; who decided takes ``steered.outputs``.
 
         The learner is compiled for the mission's whole task, and does not learn.
 
@@ -488,7 +502,7 @@ class Simulator:
             For simulations or a learner of another simulator, and output numbers that the task does not have.
         """
         self._check_steered(steered)
-        self._check_learner(learner, self.mission.task.shape)
+        self._check_learner(learner, self._sizes[3:])
         last = len(learner.outputs) - 1
         if steered.outputs.view(np.uint64).max() > last:  # a negative number is a large one there
             raise TaskliftError(f"step: expected output numbers from 0 to {last}, found {shown(steered.outputs)}")

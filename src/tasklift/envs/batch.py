@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.mission import Mission
 from tasklift.building.simulator import FAILURE, SUCCESS
-from tasklift.checks import one_of
+from tasklift.checks import one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
@@ -23,6 +23,8 @@ Act = Literal["values", "flat"]
 
 #: Corridors at its node that a local observation has room for; a node with more shows the first ones.
 CORRIDORS = 8
+#: What a step that comes too late or too early is answered with.
+OVER = "step: the episode (trial) is over, or has not begun; call reset() before"
 
 
 @dataclass(frozen=True)
@@ -39,14 +41,18 @@ class Rewards:
     success_reward
         To all who are left at the end of a success, × (1 − steps / (2 × limit)).
     signal_weight
-        Weight of the task's local signals (Table III), in every step. They are rules of thumb for reinforcement of
+        Weight of the task's local signals (Table III), at every decision. They are rules of thumb for reinforcement of
         weights: with weight 1 they outweigh all the rest, and a team that stands at doors earns most.
+    team_share
+        Part of every reward that goes to all robots of the mission in equal parts, lost ones too (0 to 1). With 1, a
+        robot is rewarded for what it does for the team: a scout that is lost at a door shows where the hostile is.
     """
 
     progress_reward: float = 0.5
     loss_reward: float = -1.5
     success_reward: float = 2.0
     signal_weight: float = 0.0
+    team_share: float = 0.0
 
     @classmethod
     def of(cls, settings: dict[str, Any]) -> Rewards:
@@ -59,7 +65,7 @@ class Rewards:
 
 
 class Batch:
-    """Missions of one kind, stepped together by the compiled kernel; each robot decides at every step.
+    """Missions of one kind, stepped together by the compiled kernel.
 
     Parameters
     ----------
@@ -69,33 +75,38 @@ class Batch:
         How many.
     rewards
         What is rewarded.
+    patience
+        A robot decides when its input changes, and after this many steps without a decision (steps, at least 1).
 
     Attributes
     ----------
     rows : int64 (n, R)
         The robots' inputs; a lost robot keeps the last that it saw.
-    alive, lost : uint8 (n, R)
-        Who lives, and who took part in a failed attack in the last step.
+    alive, decides, lost : uint8 (n, R)
+        Who lives, who decides next, and who took part in a failed attack in the last step.
     rewards : float64 (n, R)
         Of the last step.
     state : int64 (n,)
         How each mission ended: 0 if it goes on, ``SUCCESS`` or ``FAILURE``.
     """
 
-    def __init__(self, mission: Mission, n: int, rewards: Rewards) -> None:
+    def __init__(self, mission: Mission, n: int, rewards: Rewards, patience: int) -> None:
         if not isinstance(mission, Mission):
             raise TaskliftError(f"environment: expected a Mission, found {mission!r}")
-        self.mission = mission.with_reading(decide="robot", patience=1)
+        self.mission = mission.with_reading(decide="robot", patience=patience)
         self._simulator = self.mission.simulator
         self._learner = self._simulator.learner(mission.task, Reinforcement(), learn=False)
         self._steered = self._simulator.steered(n, **asdict(rewards))
         self.rows, self.alive, self.lost = self._steered.rows, self._steered.alive, self._steered.lost
         self.rewards, self.state, self.lanes = self._steered.rewards, self._steered.state, self._steered.lanes
+        self.decides = self._steered.decides
         self.begun = False
 
     def seed(self, seed: int | None) -> None:
         """Give every mission a seed of its own, which comes of this one; a single mission has this one itself."""
         n = len(self.state)
+        if seed is not None:
+            whole_number(seed, "seed")
         if seed is not None and n == 1:
             seeds = [seed]
         else:
@@ -108,7 +119,10 @@ class Batch:
         self._simulator.begin_steered(self._steered, np.arange(len(self.state)) if which is None else which)
 
     def step(self, outputs: NDArray[np.int64]) -> None:
-        """Do one step of every mission that goes on; ``outputs`` int64 (n, R), those of the lost are not looked at."""
+        """Step every mission that goes on until somebody decides or is lost; ``outputs`` int64 (n, R).
+
+        Who does not decide keeps its output: what is given for it is not looked at.
+        """
         self._steered.outputs[:] = outputs
         self._simulator.step_steered(self._learner, self._steered)
 
@@ -134,8 +148,9 @@ class Observations:
         ``"values"``: the positions of the input variables, int64. ``"onehot"``: float32, one number for each value.
         ``"local"``: that, and what a robot knows beside, as numbers from 0 to 1: whether it is armed; the share of the
         limit that has passed; whether it is at a node, and for how many steps n, as n / (n + 20); how many robots, and
-        how many armed ones, are in its team, as shares of all; and of each of up to eight corridors at its node,
-        whether it exists, whether the robot has it in its map, and whether it came by it.
+        how many armed ones, are in its team, as shares of all; of each of up to eight corridors at its node, whether it
+        exists, whether the robot has it in its map, and whether it came by it; whether it is at the feature that it was
+        alerted of; and last, whether it decides now.
     """
 
     def __init__(self, mission: Mission, kind: Observe) -> None:
@@ -146,7 +161,7 @@ class Observations:
         if kind != "values":
             table = np.hstack([np.eye(n, dtype=np.float32)[table[:, i]] for i, n in enumerate(self.sizes)])
         self._table = np.vstack([table, np.zeros_like(table[:1])])  # the last row is what the lost see
-        self.size = self._table.shape[1] + (6 + 3 * CORRIDORS if kind == "local" else 0)
+        self.size = self._table.shape[1] + (8 + 3 * CORRIDORS if kind == "local" else 0)
         self._armed = mission.simulator.world.members["armed"]
         self._limit = mission.limit
         first, last = mission.building.indptr[:-1], mission.building.indptr[1:]
@@ -187,7 +202,10 @@ class Observations:
         known = (words >> (edge & 63).astype(np.uint64)) & np.uint64(1) == 1
         came = edge == robots["came"][..., None]
         here = self._exists[node] & at_node[..., None]
-        return np.concatenate([np.stack(numbers, axis=2), here, here & known, here & came], axis=2, dtype=np.float32)
+        last = np.stack([at_node & (robots["alert"] == node), batch.decides], axis=2)
+        return np.concatenate(
+            [np.stack(numbers, axis=2), here, here & known, here & came, last], axis=2, dtype=np.float32
+        )
 
 
 class Actions:
@@ -221,26 +239,39 @@ class Actions:
 
     def number(self, action: Any, who: str) -> int:
         """Return the number of one robot's action, or refuse what is not an action."""
-        plain = action.tolist() if hasattr(action, "tolist") else action
+        if type(action) is int and self.kind == "flat" and 0 <= action < self.sizes[0]:  # what is usual is fast
+            return action
+        plain = action.tolist() if isinstance(action, np.ndarray | np.generic) else action
+        parts = (plain,) if self.kind == "flat" else plain
+        fits = isinstance(parts, list | tuple) and len(parts) == len(self.sizes)
+        if not fits or not all(_is_below(part, size) for part, size in zip(parts, self.sizes, strict=True)):
+            raise TaskliftError(f"step: expected an action of {self.space()} for {who!r}, found {action!r}")
         index = 0
-        try:
-            for value, size in zip(plain if self.kind == "values" else (plain,), self.sizes, strict=True):
-                if type(value) is not int or not 0 <= value < size:
-                    raise ValueError
-                index = index * size + value
-        except (TypeError, ValueError) as error:
-            raise TaskliftError(f"step: expected an action of {self.space()} for {who!r}, found {action!r}") from error
+        for part, size in zip(parts, self.sizes, strict=True):
+            index = index * size + int(part)
         return index
 
-    def numbers(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
-        """Return the numbers of many robots' actions, int64 of ``shape``, or refuse what are not actions."""
-        found, width = np.asarray(actions), len(self.sizes)
-        wanted = f"step: expected {np.prod(shape)} actions of {self.space()}, found"
-        if found.size != np.prod(shape) * width or found.dtype.kind not in "iu":
-            raise TaskliftError(f"{wanted} an array {found.dtype} {found.shape}")
-        parts = found.reshape(*shape, width)
+    def numbers(self, actions: Any, space: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
+        """Return the numbers of many robots' actions, int64 of ``shape``, or refuse what is not in the space."""
+        try:
+            found = np.asarray(actions)
+        except ValueError:  # rows of different lengths
+            found = np.empty(0)
+        if found.shape != space.shape or found.dtype.kind not in "iu":
+            raise TaskliftError(
+                f"step: expected whole numbers of shape {space.shape}, actions of {space}, "
+                f"found {found.dtype} {found.shape}"
+            )
+        parts = found.reshape(*shape, len(self.sizes))
         for i, size in enumerate(self.sizes):
             least, most = parts[..., i].min(), parts[..., i].max()
             if least < 0 or most >= size:
-                raise TaskliftError(f"{wanted} numbers from {least} to {most}, where {size} values are possible")
-        return parts[..., 0] if width == 1 else parts @ self._strides
+                raise TaskliftError(
+                    f"step: expected actions of {self.space()}, found numbers from {least} to {most}, "
+                    f"where {size} values are possible"
+                )
+        return parts[..., 0] if len(self.sizes) == 1 else parts @ self._strides
+
+
+def _is_below(value: Any, size: int) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= int(value) < size

@@ -65,12 +65,10 @@ def make(name: str, *, api: Api = "parallel", mission: Mission | None = None, **
         return SearchTeamEnv(mission, **options)
     if api == "vector":
         return SearchVectorEnv(mission, **options)
-    from pettingzoo.utils import parallel_to_aec
-
-    from tasklift.envs.pettingzoo import SearchEnv
+    from tasklift.envs.pettingzoo import SearchEnv, SearchTurns
 
     env = SearchEnv(mission, **options)
-    return env if api == "parallel" else parallel_to_aec(env)
+    return env if api == "parallel" else SearchTurns(env)
 
 
 def _register() -> None:

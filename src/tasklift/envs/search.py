@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.mission import Mission
 from tasklift.checks import whole_number
-from tasklift.envs.batch import Act, Actions, Batch, Observations, Observe, Rewards
+from tasklift.envs.batch import OVER, Act, Actions, Batch, Observations, Observe, Rewards
 from tasklift.envs.picture import MODES, Drawn
 from tasklift.errors import TaskliftError, missing
 
@@ -30,7 +30,7 @@ class SearchTeamEnv(Drawn, gymnasium.Env):
 
     Parameters
     ----------
-    mission, observe, act, render_mode, **rewards
+    mission, observe, act, patience, render_mode, **rewards
         As in :class:`tasklift.envs.pettingzoo.SearchEnv`; observations and actions are those of all robots in a row.
         A lost robot sees zeros, and its action is not looked at.
 
@@ -48,11 +48,12 @@ class SearchTeamEnv(Drawn, gymnasium.Env):
         *,
         observe: Observe = "onehot",
         act: Act = "values",
+        patience: int = 1,
         render_mode: str | None = None,
         **rewards: float,
     ) -> None:
         self._set_mode(render_mode)
-        self._batch = Batch(mission, 1, Rewards.of(rewards))
+        self._batch = Batch(mission, 1, Rewards.of(rewards), patience)
         self.mission = self._batch.mission
         self._observations, self._actions = Observations(mission, observe), Actions(mission, act)
         self.observation_space = self._observations.space(mission.n_robots)
@@ -60,7 +61,7 @@ class SearchTeamEnv(Drawn, gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode (trial); with a seed, the same one each time."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else whole_number(seed, "seed"))
         self._batch.seed(int(self.np_random.integers(2**62)))
         self._batch.begin()
         self._show()
@@ -70,8 +71,8 @@ class SearchTeamEnv(Drawn, gymnasium.Env):
         """Do one step with the actions of all robots in a row."""
         batch = self._batch
         if batch.state[0]:
-            raise TaskliftError("step: the episode (trial) is over, or has not begun; call reset() before")
-        batch.step(self._actions.numbers(action, batch.rows.shape))
+            raise TaskliftError(OVER)
+        batch.step(self._actions.numbers(action, self.action_space, batch.rows.shape))
         self._show()
         truncated = bool(batch.cut.any())
         terminated = bool(batch.state[0]) and not truncated
@@ -81,7 +82,9 @@ class SearchTeamEnv(Drawn, gymnasium.Env):
         return self._observations.of(self._batch).ravel()
 
     def _info(self) -> dict[str, Any]:
-        return {"success": bool(self._batch.succeeded[0]), "lost": int((self._batch.alive == 0).sum())}
+        batch = self._batch
+        lost, decides = int((batch.alive == 0).sum()), batch.decides[0] == 1
+        return {"success": bool(batch.succeeded[0]), "lost": lost, "decides": decides}
 
 
 class SearchVectorEnv(VectorEnv):
@@ -90,8 +93,9 @@ class SearchVectorEnv(VectorEnv):
     Environment ``i × R + r`` is robot ``r`` of mission ``i``. A mission that has ended begins anew in the same step
     (``AutoresetMode.SAME_STEP``): ``info["final_obs"]`` has what was seen before, where ``info["_final_obs"]``. A robot
     that is lost terminates. Until its mission ends it sees zeros and gets nothing: ``info["alive"]`` says whose step it
-    was. It terminates once more with its mission. ``info["success"]`` and ``info["lost"]`` say how the missions of the
-    environments in ``info["_success"]`` have just ended.
+    was. It terminates once more with its mission. With a ``team_share`` it goes on earning what the team earns, and
+    terminates with its mission only. ``info["decides"]`` says whose next action is looked at. ``info["success"]`` and
+    ``info["lost"]`` say how the missions of the environments in ``info["_success"]`` have just ended.
 
     Parameters
     ----------
@@ -99,7 +103,7 @@ class SearchVectorEnv(VectorEnv):
         Where, who, and the world's rules.
     missions
         How many at once.
-    observe, act, **rewards
+    observe, act, patience, **rewards
         As in :class:`tasklift.envs.pettingzoo.SearchEnv`.
 
     Raises
@@ -117,10 +121,12 @@ class SearchVectorEnv(VectorEnv):
         *,
         observe: Observe = "onehot",
         act: Act = "values",
+        patience: int = 1,
         **rewards: float,
     ) -> None:
         whole_number(missions, "missions", 1, 100_000)
-        self._batch = Batch(mission, missions, Rewards.of(rewards))
+        pay = Rewards.of(rewards)
+        self._batch, self._shares = Batch(mission, missions, pay, patience), pay.team_share > 0
         self.mission = self._batch.mission
         self.num_envs = missions * mission.n_robots
         self._observations, self._actions = Observations(mission, observe), Actions(mission, act)
@@ -135,7 +141,7 @@ class SearchVectorEnv(VectorEnv):
         if seed is not None or not self._batch.begun:
             self._batch.seed(seed)
         self._batch.begin()
-        return self._seen(), {"alive": np.ones(self.num_envs, np.bool_)}
+        return self._seen(), {"alive": np.ones(self.num_envs, np.bool_), "decides": self._deciding()}
 
     def step(self, actions: Any) -> tuple[NDArray[Any], Any, Any, Any, dict[str, Any]]:
         """Do one step of every mission with an action for every robot."""
@@ -143,9 +149,10 @@ class SearchVectorEnv(VectorEnv):
         if not batch.begun:
             raise TaskliftError("step: nothing has begun; call reset() before")
         lived = batch.alive == 1
-        batch.step(self._actions.numbers(actions, batch.rows.shape))
+        batch.step(self._actions.numbers(actions, self.action_space, batch.rows.shape))
         over, cut = batch.state != 0, batch.cut.ravel()
-        ended = ((lived & (batch.alive == 0)) | over[:, None]).ravel() & ~cut
+        done = over[:, None] if self._shares else (lived & (batch.alive == 0)) | over[:, None]
+        ended = np.broadcast_to(done, lived.shape).ravel() & ~cut
         seen, rewards, info = self._seen(), batch.rewards.ravel().copy(), {"alive": lived.ravel()}
         if ended.any() or cut.any():
             info |= {"final_obs": seen, "_final_obs": ended | cut}
@@ -155,7 +162,11 @@ class SearchVectorEnv(VectorEnv):
             info |= {name: np.repeat(value, lived.shape[1]) for name, value in how.items()}
             batch.begin(np.flatnonzero(over))
             seen = self._seen()
+        info["decides"] = self._deciding()
         return seen, rewards, ended, cut, info
+
+    def _deciding(self) -> NDArray[np.bool_]:
+        return self._batch.decides.ravel() == 1
 
     def _seen(self) -> NDArray[Any]:
         return self._observations.of(self._batch).reshape(self.num_envs, -1)

@@ -400,6 +400,55 @@ def test_a_loss_that_is_no_count_is_refused_where_it_comes(bad) -> None:
         learn_values(world, trials=1)
 
 
+def gives(**answers) -> Factored:
+    """An environment whose ``reset`` or ``step`` gives what it is told to."""
+    env = Scripted(DISCRETE(1), DISCRETE(1))
+    for call, answer in answers.items():
+        setattr(env, call, lambda *a, answer=answer, **k: answer)
+    return Factored(env, small(), limit=9)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: gives(reset=0), r"reset\(\) gave 0; expected \(observation, info\)"),
+        (lambda: gives(reset=(0, None)), r"reset\(\) gave \(0, None\)"),
+        (lambda: gives(step=(0, 1.0, False, {})), r"step\(\) gave .*expected \(observation, reward, terminated"),
+        (lambda: gives(step=(0, 1.0, False, False, None)), r"step\(\) gave"),
+        (lambda: gives(step=(0, 1.0, np.zeros(2), False, {})), r"step\(\) gave"),
+        (lambda: gives(step=(0, "1.0", False, False, {})), "the reward is '1.0'"),
+        (lambda: gives(step=(0, np.zeros(1), False, False, {})), r"the reward is array"),
+        (lambda: Factored("CartPole-v1", small()), "expected one Gymnasium environment, found 'CartPole-v1'"),
+        (lambda: Factored(gymnasium.make_vec("FrozenLake-v1", num_envs=2), small()), "expected one Gymnasium"),
+        (lambda: Factored(Moody(), FOUR, limit=5, loss=3), "loss: expected a function, found 3"),
+        (lambda: Factored(Moody(), FOUR, limit=5, observe="x"), "observe: expected a function"),
+        (lambda: Factored(Moody(), FOUR, limit=5, mask=["action_mask"]), "mask: expected the name"),
+        (lambda: Factored(Moody(), FOUR, limit=5, success=lambda e: np.zeros(2), observe=lambda o: {"x": 0}),
+         "the success is array"),
+    ],
+)  # fmt: skip
+def test_what_is_no_environment_of_todays_is_named(call, says: str) -> None:
+    with pytest.raises(TaskliftError, match=says):
+        learn_values(call(), trials=1)
+
+
+def test_what_is_no_world_or_policy_is_named() -> None:
+    env, policy = gymnasium.make("FrozenLake-v1"), Policy.equal(lake_task(4))
+    for call in (
+        lambda: learn_values(env, trials=1),
+        lambda: evaluate(env, policy),
+        lambda: Curriculum([Stage("only", lake_task(4), env, ValueLearning(), trials=1)]).check(),
+    ):
+        with pytest.raises(TaskliftError, match=r"expected a world, found .*envs\.gymnasium\.Factored"):
+            call()
+    with pytest.raises(TaskliftError, match="expected a Policy, found"):
+        evaluate(frozen_lake(), policy.weights)
+    with pytest.raises(TaskliftError, match="learning: expected a ValueLearning, found 'sarsa'"):
+        learn_values(frozen_lake(), trials=1, learning="sarsa")
+    with pytest.raises(TaskliftError, match="epsilon: expected a number from 0 up to 1"):
+        evaluate(frozen_lake(), policy, epsilon=2)
+
+
 def test_steps_out_of_turn_and_outputs_out_of_range() -> None:
     world = Factored(Scripted(DISCRETE(1), DISCRETE(2), ends=1), small(1, 2), limit=9)
     with pytest.raises(TaskliftError, match="after the end"):
@@ -500,6 +549,9 @@ def test_a_model_is_the_environment_or_is_refused() -> None:
     sticky = gymnasium.wrappers.TransformReward(gymnasium.make("FrozenLake-v1"), lambda r: 2 * r)
     with pytest.raises(TaskliftError, match="the wrapper TransformReward"):
         Factored(sticky, lake_task(4)).model()
+    masked = Factored(gymnasium.make("Taxi-v4"), TAXI)
+    with pytest.raises(TaskliftError, match=r"which actions are possible.*mask=None"):
+        masked.model()
     fickle = gymnasium.make("Taxi-v4", fickle_passenger=True, fickle_probability=1.0)
     with pytest.raises(TaskliftError, match=r"fickle_passenger = True.*learn step by step"):
         Factored(fickle, TAXI).model()

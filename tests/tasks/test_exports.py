@@ -127,11 +127,35 @@ def test_compiled_c_has_all_3960_cells_and_decides_as_the_policy(tmp_path: Path,
     assert [int(line[0]) for line in lines[136:]] == [*range(90), -1, -1]
 
 
+ODD = {
+    "comment": Task("*/ int", (), (Variable("a */ b\\", ("*/", "/*", "\\", "ü")),)),
+    "quotes": Task('"""', (Variable("a 'b'", (0, 1), ('"""', "it's")),), (Variable("b\\n", ("\\", '\\"')),)),
+    "words": Task("int", (Variable("class", ("for", "None")), Variable("struct", (1, 2))), (Variable("def", (0, 1)),)),
+    "percent": Task("%s", (Variable("100 %d", ("%", "%%")),), (Variable("%(name)s", ("{}", "??/")),)),
+    "long": Task("x" * 200, (Variable("1" * 200, ("p" * 200, "日本")),), (Variable("2nd", (0, 1)),)),
+    "numbers": Task("n", (Variable("a", (-1e-300, 0.1, 1e300)),), (Variable("b", (False, True)),)),
+}
+
+
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-def test_c_survives_names_that_would_end_a_comment(tmp_path: Path) -> None:
-    task = Task("*/ int", (), (Variable("a */ b\\", ("*/", "/*", "\\", "ü")),))
-    (tmp_path / "p.c").write_text(exports.to_c(Policy(task, [[1, 1, 2, 2]]), "7 int") + "int main(void) { return 0; }")
-    subprocess.run([COMPILER, "-std=c99", "-Wall", "-Werror", "p.c", "-o", "p"], cwd=tmp_path, check=True)
+@pytest.mark.parametrize("name", list(ODD))
+@pytest.mark.parametrize("compiler", [("cc", "c", "-std=c99"), ("c++", "cpp", "-std=c++11")], ids=["C", "C++"])
+def test_odd_names_and_labels_stay_in_their_places(tmp_path: Path, name: str, compiler: tuple[str, str, str]) -> None:
+    task = ODD[name]
+    policy = Policy(task, np.random.default_rng(1).integers(0, 3, task.shape) * 1e307)
+    module = loaded(exports.to_python(policy))
+    for row, best in enumerate(policy.best()):
+        assert module["act"](task.input_values(row)) == task.output_values(int(best))
+    command, suffix, standard = compiler
+    if shutil.which(command) is None:
+        pytest.skip(f"no {command}")
+    body = 'int main(void) { for (int s = 0; s < P_STATES; s++) printf("%d %d\\n", p_best(s), p_draw(s, 0.5)); }'
+    (tmp_path / f"p.{suffix}").write_text("#include <stdio.h>\n" + exports.to_c(policy, "p") + body)
+    strict = [standard, "-Wall", "-Wextra", "-Wno-unused-function", "-pedantic", "-Werror"]
+    subprocess.run([command, *strict, f"p.{suffix}", "-o", "p"], cwd=tmp_path, check=True)
+    printed = subprocess.run([tmp_path / "p"], capture_output=True, text=True, check=True).stdout
+    expected = [f"{best} {policy.select(row, u=0.5)}" for row, best in enumerate(policy.best())]
+    assert printed.splitlines() == expected
 
 
 @PROPERTY
@@ -189,6 +213,9 @@ def test_the_ros2_package_parses_and_decides_without_ros(tmp_path, monkeypatch) 
         del sys.modules[module]
     with pytest.raises(TaskliftError, match="small letters"):
         exports.to_ros2(policy, "Team-Policy")
+    for name in ("class", "json", "random", "rclpy"):
+        with pytest.raises(TaskliftError, match=f"'{name}' is a word or a module"):
+            exports.to_ros2(policy, name)
 
 
 def test_large_policies_are_refused_as_source(monkeypatch) -> None:

@@ -105,6 +105,11 @@ class Adapter:
         mask: str | None,
         agent: str | None = None,
     ) -> None:
+        for what, function in (("observe", observe), ("act", act), ("loss", loss), ("success", success)):
+            if function is not None and not callable(function):
+                raise TaskliftError(f"{name}, {what}: expected a function, found {shown(function)}")
+        if not isinstance(mask, str | None):
+            raise TaskliftError(f"{name}, mask: expected the name of an entry of info, or None, found {shown(mask)}")
         self.name, self.spaces, self.task, self.limit = name, spaces, task, limit
         self._index = _finder(spaces[0], task, name) if observe is None else _observer(observe, task)
         self.actions = _actions(spaces[1], task, act, name)
@@ -141,8 +146,13 @@ class Adapter:
                 f"{observations} and {actions}"
             )
 
-    def begin(self, observation: Any, info: Mapping[str, Any]) -> int:
+    def begin(self, given: Any) -> int:
         """Take in what a reset gave, and return the first input."""
+        try:
+            observation, info = given
+            self._mask in info  # noqa: B015
+        except (TypeError, ValueError) as error:
+            raise self._no_answer("reset", given, "observation, info") from error
         self._episode, self._steps, self._going, self._paid = self._episode + 1, 0, True, True
         self._seen = _kept(observation)
         self._look(info)
@@ -158,15 +168,21 @@ class Adapter:
         self._output, self._action = output, copy.deepcopy(action) if self._shared else action
         return self._action
 
-    def answer(self, after: Any, reward: Any, terminated: Any, truncated: Any, info: Mapping[str, Any]) -> Step:
+    def answer(self, given: Any) -> Step:
         """Return what the environment answered to the last action."""
         self._steps = steps = self._steps + 1
         try:
-            reward = float(reward)
-        except (TypeError, ValueError):
-            raise self._wrong("reward", reward, "a finite number") from None
-        if not math.isfinite(reward):
+            after, reward, terminated, truncated, info = given
+            terminated, masked = bool(terminated), self._mask in info
+        except (TypeError, ValueError) as error:
+            raise self._no_answer("step", given, "observation, reward, terminated, truncated, info") from error
+        try:
+            finite = math.isfinite(reward)
+        except (TypeError, ValueError, OverflowError):
+            finite = False
+        if not finite:
             raise self._wrong("reward", reward, "a finite number")
+        reward = float(reward)
         truncated = not terminated and (bool(truncated) or steps >= self.limit)
         self._going = not (terminated or truncated)
         self._paid = paid = self._paid and reward > 0
@@ -178,7 +194,7 @@ class Adapter:
             )
         else:
             self._seen, lost, success = after, 0, truncated if lives else terminated
-        if self._mask in info or self.possible is not None:
+        if masked or self.possible is not None:
             self._look(info)
         # what comes back at the end is nothing to act on, and need not be an input of the task
         seen = -1 if terminated else self.input_of(after)
@@ -204,7 +220,11 @@ class Adapter:
             if lost < 0 or lost != found:
                 raise self._wrong("loss", found, "a whole number of at least 0; count the losses in smaller units")
         if self._success is not None:
-            return lost, bool(self._success(event))
+            succeeds = self._success(event)
+            try:
+                return lost, bool(succeeds)
+            except ValueError:
+                raise self._wrong("success", succeeds, "one truth value") from None
         return lost, not lost and (event.truncated if lives else event.terminated)
 
     def _wrong(self, what: str, found: Any, expected: str) -> TaskliftError:
@@ -214,6 +234,9 @@ class Adapter:
             f"expected {expected}"
         )
 
+    def _no_answer(self, call: str, found: Any, expected: str) -> TaskliftError:
+        return TaskliftError(f"{self.name}: {call}() gave {shown(found)}; expected ({expected})")
+
     def _look(self, info: Mapping[str, Any]) -> None:
         """Take in which actions are possible next, if the environment says so."""
         mask = info.get(self._mask) if self._mask is not None else None
@@ -222,11 +245,13 @@ class Adapter:
             return
         parts = [mask] if type(self.spaces[1]).__name__ == "Discrete" else mask
         try:
-            found = [_masked(part, size, at) for part, (size, at) in zip(parts, self._places, strict=True)]
+            first, *others = [_masked(part, size, at) for part, (size, at) in zip(parts, self._places, strict=True)]
         except (AssertionError, TypeError, ValueError) as error:
             raise self._wrong(str(self._mask), mask, f"a mask for {self.spaces[1]}") from error
-        self.possible = np.logical_and.reduce(found)
-        if self._going and not self.possible.any():
+        for other in others:
+            first &= other
+        self.possible = first
+        if self._going and True not in first.tolist():  # for the few actions that there are, faster than any()
             raise self._wrong(str(self._mask), mask, "at least one action that is possible")
 
     @cached_property

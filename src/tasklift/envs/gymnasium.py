@@ -109,6 +109,8 @@ class Factored:
     ) -> None:
         if hasattr(env, "possible_agents"):
             raise TaskliftError(f"{type(env).__name__}: has several agents; use tasklift.envs.parallel.FactoredTeam")
+        if hasattr(env, "num_envs") or not all(hasattr(env, name) for name in ("reset", "step", "action_space")):
+            raise TaskliftError(f"expected one Gymnasium environment, found {shown(env)}")
         self.env = env
         spec = getattr(env, "spec", None)
         name = spec.id if spec is not None else type(env).__name__
@@ -154,11 +156,11 @@ class Factored:
     def start(self, rng: np.random.Generator) -> int:
         """Reset the environment, seeded from ``rng``, and return the first input."""
         self._agent.need_spaces(self.env.observation_space, self.env.action_space)
-        return self._agent.begin(*self.env.reset(seed=int(rng.integers(2**31))))
+        return self._agent.begin(self.env.reset(seed=int(rng.integers(2**31))))
 
     def step(self, output: int) -> Step:
         """Do one step with this output."""
-        return self._agent.answer(*self.env.step(self._agent.action(output)))
+        return self._agent.answer(self.env.step(self._agent.action(output)))
 
     # --- as an explicit model -----------------------------------------------------------------------------------
 

@@ -116,7 +116,7 @@ class FactoredTeam:
         for agent, adapter in self._adapters.items():
             adapter.need_spaces(self.env.observation_space(agent), self.env.action_space(agent))
         observations, infos = self.env.reset(seed=int(rng.integers(2**31)))
-        return {agent: self._adapters[agent].begin(observations[agent], infos[agent]) for agent in self.env.agents}
+        return {agent: self._adapters[agent].begin((observations[agent], infos[agent])) for agent in self.env.agents}
 
     def step(self, outputs: Any) -> Any:
         """Do one step with an output of each agent that is there; return a :class:`.Step` for each."""
@@ -131,4 +131,4 @@ class FactoredTeam:
             mine = [part[agent] for part in answers]
         except KeyError as error:
             raise TaskliftError(f"{self._name}: the environment gave agent {shown(agent)} no answer") from error
-        return self._adapters[agent].answer(*mine)
+        return self._adapters[agent].answer(mine)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.tasks.variable import Variable
 from tasklift.text import shown
@@ -130,7 +131,10 @@ class Bins:
     def __init__(self, **edges: Sequence[float] | None) -> None:
         self._edges: dict[str, Any] = {}
         for name, given in edges.items():
-            array = None if given is None else np.asarray(given, dtype=float).ravel()
+            try:
+                array = None if given is None else np.asarray(given, dtype=float).ravel()
+            except (TypeError, ValueError):
+                array = np.zeros(0)
             if array is not None and (not len(array) or not np.isfinite(array).all() or (np.diff(array) <= 0).any()):
                 raise TaskliftError(f"bins, {name}: expected ascending, finite edges, found {shown(given)}")
             self._edges[name] = array
@@ -151,10 +155,9 @@ class Bins:
             raise TaskliftError(f"bins: expected a Box with {len(bins)} components, found {space}")
         edges: dict[str, Sequence[float] | None] = {}
         for (name, number), least, most in zip(bins.items(), low.tolist(), high.tolist(), strict=True):
-            if number is not None and (number < 2 or not np.isfinite(most - least) or most - least > 1e30):
+            if number is not None and whole_number(number, f"bins, {name}", least=2) and not most - least <= 1e30:
                 raise TaskliftError(
-                    f"bins, {name}: expected at least 2 bins between finite bounds, found {number} between {least} and "
-                    f"{most}; give the edges themselves"
+                    f"bins, {name}: expected finite bounds, found {least} and {most}; give the edges themselves"
                 )
             edges[name] = None if number is None else np.linspace(least, most, number + 1)[1:-1].tolist()
         return cls(**edges)
@@ -170,7 +173,10 @@ class Bins:
 
     def __call__(self, observation: Any) -> dict[str, int]:
         """Return the bin of each component of an observation, by name."""
-        values = np.ravel(np.asarray(observation, dtype=float))
+        try:
+            values = np.ravel(np.asarray(observation, dtype=float))
+        except (TypeError, ValueError):
+            values = np.zeros(0)
         if len(values) != len(self._edges) or np.isnan(values).any():
             raise TaskliftError(
                 f"bins: expected {len(self._edges)} numbers ({', '.join(self._edges)}), found {shown(observation)}"

@@ -30,6 +30,7 @@ from tasklift.learning.worlds import (
     Trials,
     View,
     joined,
+    need_world,
     nothing_possible,
     outcomes_of,
 )
@@ -370,6 +371,7 @@ def reinforce(
     >>> bool((rest.policy.weights == whole.policy.weights).all())
     True
     """
+    need_world(world)
     return reinforcement.learn(world, policy, run_of("reinforce", {"trials": trials, **run}))
 
 

@@ -14,7 +14,7 @@ from tasklift.files import canonical_json
 from tasklift.learning.guard import Guard, GuardReport, SequentialTest
 from tasklift.learning.learner import Learner, Run, check, count_as, divisible, settings_of
 from tasklift.learning.ledger import Entry
-from tasklift.learning.worlds import Outcomes, Steps, Trials, joined
+from tasklift.learning.worlds import Outcomes, Steps, Trials, joined, need_world
 from tasklift.tasks.policy import Policy, Prior
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import plain_number
@@ -106,6 +106,7 @@ class Stage:
                 f"{where}: a rehearsal loses nothing for good, so a cap on losses says nothing; drop it"
             )
         try:
+            need_world(self.world)
             self.task.ancestor(self.world.task)
             check(self.learner, self.world, self.task, Run(trials=self.trials, steps=self.steps))
             if self.initial is not None:

@@ -18,6 +18,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from tasklift.checks import number
 from tasklift.errors import TaskliftError
 from tasklift.learning.chances import GREEDY_STAGE
 from tasklift.learning.learner import Curve, Run, keeping, provenance, run_of
@@ -31,6 +32,7 @@ from tasklift.learning.worlds import (
     Steps,
     Trials,
     View,
+    need_world,
     nothing_possible,
     outcomes_of,
 )
@@ -289,7 +291,11 @@ def learn_values(
     [1, 1, 1, 1]
     """
     asked = run_of("learn_values", run)
-    return learning.learn(world, policy or learning.start(task or world.task), asked, callback=callback)
+    need_world(world)
+    if not isinstance(learning, ValueLearning):
+        raise TaskliftError(f"learn_values, learning: expected a ValueLearning, found {shown(learning)}")
+    start = learning.start(task or world.task) if policy is None else _policy(policy)
+    return learning.learn(world, start, asked, callback=callback)
 
 
 def evaluate(
@@ -335,6 +341,8 @@ def evaluate(
     10
     """
     asked = run_of("evaluate", {"trials": trials, "stage": stage, **run})
+    need_world(world)
+    epsilon, policy = number(epsilon, "evaluate, epsilon", 0.0, 1.0), _policy(policy)
     if not isinstance(world, Steps):
         if epsilon:
             raise TaskliftError(f"evaluate, epsilon: a world of whole trials has no random outputs, found {epsilon}")
@@ -375,6 +383,12 @@ def _trial_of(
         return run(rng)
 
     return trial
+
+
+def _policy(policy: Policy) -> Policy:
+    if not isinstance(policy, Policy):
+        raise TaskliftError(f"expected a Policy, found {shown(policy)}")
+    return policy
 
 
 def _without_impossible(policy: Policy) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from math import isfinite, nan
+from math import isfinite
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -300,14 +300,13 @@ class Step(_Answer):
         cls, input: int, reward: float, ended: bool, lost: int = 0, success: bool = False, cut: bool = False
     ) -> Step:
         """Check what is answered."""
-        given = reward
         try:
-            reward = float(reward)
-        except (TypeError, ValueError):
-            reward = nan
-        if not isfinite(reward):
-            raise TaskliftError(f"step, reward: expected a finite number, found {shown(given)}")
-        return cls.unchecked((input, reward, ended, _count(lost) if lost != 0 else 0, success, cut))
+            finite = isfinite(reward)
+        except (TypeError, ValueError, OverflowError):
+            finite = False
+        if not finite:
+            raise TaskliftError(f"step, reward: expected a finite number, found {shown(reward)}")
+        return cls.unchecked((input, float(reward), ended, _count(lost) if lost != 0 else 0, success, cut))
 
 
 def _count(lost: Any) -> int:
@@ -487,6 +486,15 @@ class View:
                 f"{shown(mask)}"
             )
         return possible[self._columns]
+
+
+def need_world(world: Any) -> None:
+    """Refuse what does not run trials, an environment of somebody else's for example."""
+    if not isinstance(world, Steps) and not (hasattr(world, "task") and hasattr(world, "run")):
+        raise TaskliftError(
+            f"expected a world, found {shown(world)}; declare a Gymnasium environment with "
+            "tasklift.envs.gymnasium.Factored, a PettingZoo one with tasklift.envs.parallel.FactoredTeam"
+        )
 
 
 def nothing_possible(task: Task, row: int) -> TaskliftError:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import inspect
 import json
+import keyword
 import re
+import sys
 from pathlib import PurePath
 
 import tasklift
@@ -157,7 +159,8 @@ def to_ros2(policy: Policy, name: str) -> dict[str, str]:
     policy : Policy
         What the node decides by.
     name : str
-        The package's: small letters, digits and single underscores, a letter first.
+        The package's: small letters, digits and single underscores, a letter first; not a word of Python's, nor a
+        module that the node would no longer find.
 
     Raises
     ------
@@ -168,6 +171,8 @@ def to_ros2(policy: Policy, name: str) -> dict[str, str]:
         raise TaskliftError(
             f"ROS 2 package: expected a name of small letters, digits and single underscores, found {name!r}"
         )
+    if keyword.iskeyword(name) or name in (*sys.stdlib_module_names, "rclpy", "std_msgs"):
+        raise TaskliftError(f"ROS 2 package: {name!r} is a word or a module of Python's or ROS's; choose another name")
     words = {"name": name, "task": _comment(policy.task.name), "version": tasklift.__version__}
     return {
         "package.xml": _PACKAGE_XML % words,

@@ -10,6 +10,8 @@ from tasklift.envs.spaces import Bins
 from tasklift.errors import TaskliftError
 from tasklift.learning.compare import compare
 from tasklift.learning.curriculum import Curriculum
+from tasklift.learning.learner import Run
+from tasklift.learning.reinforcement import Fixed, Reinforcement
 from tasklift.learning.stage import Stage
 from tasklift.learning.values import ValueLearning, evaluate, learn_values
 from tasklift.tasks.policy import Policy
@@ -538,6 +540,36 @@ class Liar(gymnasium.Env):
 
     def step(self, action):
         return int(self.np_random.random() < self.done), 0.0, False, False, {}
+
+
+class Round(gymnasium.Env):
+    """Four places in a ring, with a table of transitions. Every step pays."""
+
+    observation_space, action_space = DISCRETE(4), DISCRETE(2)
+    initial_state_distrib = np.eye(4)[0]
+    P = {s: {a: [(1.0, (s + a) % 4, 1.0, False)] for a in (0, 1)} for s in range(4)}  # noqa: RUF012
+
+    def reset(self, *, seed=None, options=None):
+        self.place = 0
+        return 0, {}
+
+    def step(self, action):
+        self.place = (self.place + action) % 4
+        return self.place, 1.0, False, False, {}
+
+
+@pytest.mark.parametrize(
+    ("success", "share"), [(None, 1), (lambda e: e.truncated, 1), (lambda e: e.truncated and int(e.after) == 2, None)]
+)
+def test_a_model_succeeds_at_its_limit_as_the_environment_does(success, share) -> None:
+    world = Factored(Round(), small(4, 2), success=success, limit=7)
+    policy = Policy(small(4, 2), np.random.default_rng(0).random((4, 2)))
+    played = [
+        Fixed(Reinforcement()).learn(where, policy, Run(trials=300)).outcomes.success.mean()
+        for where in (world, world.model())
+    ]
+    assert played[0] == pytest.approx(played[1], abs=0.15)  # five standard errors
+    assert played[0] == share or (share is None and 0 < played[0] < 1)
 
 
 def test_a_model_is_the_environment_or_is_refused() -> None:

@@ -164,6 +164,21 @@ def test_the_search_itself_can_be_a_world() -> None:
     assert min(agents[:-1]) < len(search.agents)  # some were lost on the way
 
 
+def started() -> FactoredTeam:
+    team = world()
+    team.start(np.random.default_rng(0))
+    return team
+
+
+def gives(**answers: Any) -> None:
+    """Play where ``reset`` or ``step`` gives what it is told to."""
+    env = Line()
+    for call, answer in answers.items():
+        real = getattr(env, call)
+        setattr(env, call, lambda *a, answer=answer, real=real, **k: (real(*a, **k), answer)[1])
+    tl.evaluate(FactoredTeam(env, TASK), tl.Policy.equal(TASK), trials=1)
+
+
 @pytest.mark.parametrize(
     ("call", "says"),
     [
@@ -175,6 +190,13 @@ def test_the_search_itself_can_be_a_world() -> None:
             lambda: FactoredTeam(Line(), tl.Task("t", (tl.Variable("x", range(3)),), TASK.outputs)),
             r"line_v0: observation space is Discrete\(5\), which does not split into x \(3\)",
         ),
+        (lambda: tl.evaluate(world(robots=0), tl.Policy.equal(TASK)), "no agent is there after reset"),
+        (lambda: gives(reset={"robot_0": 0}), r"reset\(\) gave agent 'robot_0' nothing"),
+        (lambda: gives(step=None), r"step\(\) gave agent 'robot_0' nothing: None"),
+        (lambda: gives(step=({}, {}, {}, {}, {})), r"step\(\) gave agent 'robot_0' nothing"),
+        (lambda: started().step({"robot_9": 0}), "expected an output of each agent that is there"),
+        (lambda: started().step({"robot_0": 0}), "expected an output of each agent that is there"),
+        (lambda: started().step(dict.fromkeys(Line().possible_agents, 2)), "expected an output from 0 to 1, found 2"),
         (lambda: tl.evaluate(world(latecomer=True), tl.Policy.equal(TASK), trials=1), "'robot_0' came in the middle"),
         (
             lambda: tl.evaluate(FactoredTeam(Line(), TASK, loss=lambda e: 0.5), tl.Policy.equal(TASK), trials=1),

@@ -189,9 +189,11 @@ class Adapter:
         lives = paid and steps > 1
         if self._judges:
             before, self._seen = self._seen, _kept(after)
-            lost, success = self.judged(
-                Event(before, self._action, reward, self._seen, terminated, truncated, info, self._output, self), lives
-            )
+            event = Event(
+                before, self._action, reward, self._seen, terminated, truncated, info, self._output, self
+            )  # fmt: skip
+            lost = self.lost(event)
+            success = self.succeeds(event, lost, lives)
         else:
             self._seen, lost, success = after, 0, truncated if lives else terminated
         if masked or self.possible is not None:
@@ -200,32 +202,38 @@ class Adapter:
         seen = -1 if terminated else self.input_of(after)
         return Step.unchecked((seen, reward, terminated, lost, success, truncated))
 
-    def judged(self, event: Event, lives: bool) -> tuple[int, bool]:
-        """Return what an event lost, and whether the episode succeeds with it.
+    def lost(self, event: Event) -> int:
+        """Return what an event lost."""
+        if self._loss is None:
+            return 0
+        found = self._loss(event)
+        try:
+            lost = int(found)
+        except (TypeError, ValueError, OverflowError):
+            lost = -1
+        if lost < 0 or lost != found:
+            raise self._wrong("loss", found, "a whole number of at least 0; count the losses in smaller units")
+        return lost
+
+    def succeeds(self, event: Event, lost: int, lives: bool) -> bool:
+        """Return whether the episode succeeds if it ends, or is cut off, with this event.
 
         Parameters
         ----------
         event
             A transition.
+        lost
+            What it lost.
         lives
             Whether every step paid so far, so that going on is what counts.
         """
-        lost = 0
-        if self._loss is not None:
-            found = self._loss(event)
-            try:
-                lost = int(found)
-            except (TypeError, ValueError, OverflowError):
-                lost = -1
-            if lost < 0 or lost != found:
-                raise self._wrong("loss", found, "a whole number of at least 0; count the losses in smaller units")
-        if self._success is not None:
-            succeeds = self._success(event)
-            try:
-                return lost, bool(succeeds)
-            except ValueError:
-                raise self._wrong("success", succeeds, "one truth value") from None
-        return lost, not lost and (event.truncated if lives else event.terminated)
+        if self._success is None:
+            return not lost and (event.truncated if lives else event.terminated)
+        found = self._success(event)
+        try:
+            return bool(found)
+        except ValueError:
+            raise self._wrong("success", found, "one truth value") from None
 
     def _wrong(self, what: str, found: Any, expected: str) -> TaskliftError:
         whose = "" if self.agent is None else f", {self.agent}"

@@ -202,10 +202,15 @@ class Factored:
             for a, action in enumerate(self.actions):
                 for k, (p, to, r, terminated) in enumerate(table[s][action]):
                     at = (s, a, k)
-                    event = Event(s, action, float(r), int(to), bool(terminated), False, {}, a, agent)
+                    # success is asked of the last step only: where the trial does not end, of one that is cut off there
+                    event, cut = (
+                        Event(s, action, float(r), int(to), bool(terminated), cut, {}, a, agent)
+                        for cut in (False, not terminated)
+                    )
                     probability[at], after[at], reward[at], ended[at] = p, to, r, terminated
                     try:
-                        lost[at], success[at] = agent.judged(event, lives)
+                        lost[at] = agent.lost(event)
+                        success[at] = agent.succeeds(cut, int(lost[at]), lives)
                     except KeyError as error:
                         raise TaskliftError(
                             f"{agent.name}: loss= or success= reads {error} of info, which a table of transitions "

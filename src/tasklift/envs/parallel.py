@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from tasklift.checks import whole_number
 from tasklift.envs.adapter import Act, Adapter, Judge, Observe
 from tasklift.errors import TaskliftError
-from tasklift.learning.worlds import Step
 from tasklift.tasks.task import Task
 from tasklift.text import shown
 
@@ -115,20 +113,27 @@ class FactoredTeam:
         """Reset the environment, seeded from ``rng``, and return the first input of each agent that is there."""
         for agent, adapter in self._adapters.items():
             adapter.need_spaces(self.env.observation_space(agent), self.env.action_space(agent))
-        observations, infos = self.env.reset(seed=int(rng.integers(2**31)))
-        return {agent: self._adapters[agent].begin((observations[agent], infos[agent])) for agent in self.env.agents}
+        given = self.env.reset(seed=int(rng.integers(2**31)))
+        if not self.env.agents:
+            raise TaskliftError(f"{self._name}: no agent is there after reset()")
+        return {agent: self._adapters[agent].begin(self._part(given, agent, "reset")) for agent in self.env.agents}
 
     def step(self, outputs: Any) -> Any:
         """Do one step with an output of each agent that is there; return a :class:`.Step` for each."""
-        answers = self.env.step({agent: self._adapters[agent].action(output) for agent, output in outputs.items()})
+        if set(outputs) != set(self.env.agents):
+            raise TaskliftError(
+                f"{self._name}: expected an output of each agent that is there, {shown(self.env.agents)}, found "
+                f"{shown(list(outputs))}; agents leave by termination or truncation"
+            )
+        given = self.env.step({agent: self._adapters[agent].action(output) for agent, output in outputs.items()})
         for agent in self.env.agents:
             if agent not in outputs:
                 raise TaskliftError(f"{self._name}: agent {shown(agent)} came in the middle of an episode (trial)")
-        return {agent: self._answer(agent, answers) for agent in outputs}
+        return {agent: self._adapters[agent].answer(self._part(given, agent, "step")) for agent in outputs}
 
-    def _answer(self, agent: str, answers: tuple[Mapping[str, Any], ...]) -> Step:
+    def _part(self, given: Any, agent: str, call: str) -> tuple[Any, ...]:
+        """Return what ``reset`` or ``step`` gave one agent."""
         try:
-            mine = [part[agent] for part in answers]
-        except KeyError as error:
-            raise TaskliftError(f"{self._name}: the environment gave agent {shown(agent)} no answer") from error
-        return self._adapters[agent].answer(mine)
+            return tuple(part[agent] for part in given)
+        except (KeyError, TypeError, IndexError) as error:
+            raise TaskliftError(f"{self._name}: {call}() gave agent {shown(agent)} nothing: {shown(given)}") from error

@@ -95,6 +95,12 @@ def test_all_agents_teach_one_table(rule: str) -> None:
     assert played.losses.sum() == 0
 
 
+def test_worlds_say_what_they_are() -> None:
+    lake = tl.Task("lake", (tl.Variable("cell", range(16)),), (tl.Variable("move", range(4)),))
+    assert repr(Factored(gymnasium.make("FrozenLake-v1"), lake)).startswith("Factored(FrozenLake-v1, Task('lake'")
+    assert repr(world()).startswith("FactoredTeam(line_v0, 3 agents, Task('line'")
+
+
 def test_one_agent_in_a_team_is_an_agent_alone() -> None:
     class Alone(gymnasium.Env):
         observation_space, action_space = gymnasium.spaces.Discrete(5), gymnasium.spaces.Discrete(2)

@@ -155,6 +155,7 @@ def test_a_model_from_a_function_counts_losses_and_successes() -> None:
     [
         ({"lost": 0.5}, "expected whole numbers of losses"),
         ({"lost": -1}, "expected whole numbers of losses"),
+        ({"lost": 1e30}, "expected whole numbers of losses"),
         ({"lost": float("nan")}, "expected whole numbers of losses"),
         ({"lost": None}, r"{'place': 0}, {'go': -1}: expected branches"),
         ({"reward": "x"}, "expected branches"),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tasklift.envs.spaces import leaves, positions_of, value_at, whole
 from tasklift.errors import TaskliftError
-from tasklift.learning.worlds import Step
+from tasklift.learning.worlds import Step, count_of, finite
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable
 from tasklift.text import shown
@@ -176,11 +176,7 @@ class Adapter:
             terminated, masked = bool(terminated), self._mask in info
         except (TypeError, ValueError) as error:
             raise self._no_answer("step", given, "observation, reward, terminated, truncated, info") from error
-        try:
-            finite = math.isfinite(reward)
-        except (TypeError, ValueError, OverflowError):
-            finite = False
-        if not finite:
+        if not finite(reward):
             raise self._wrong("reward", reward, "a finite number")
         reward = float(reward)
         truncated = not terminated and (bool(truncated) or steps >= self.limit)
@@ -207,11 +203,8 @@ class Adapter:
         if self._loss is None:
             return 0
         found = self._loss(event)
-        try:
-            lost = int(found)
-        except (TypeError, ValueError, OverflowError):
-            lost = -1
-        if lost < 0 or lost != found:
+        lost = count_of(found)
+        if lost < 0:
             raise self._wrong("loss", found, "a whole number of at least 0; count the losses in smaller units")
         return lost
 

@@ -129,6 +129,9 @@ class Factored:
             mask=mask,
         )
 
+    def __repr__(self) -> str:
+        return f"Factored({self._agent.name}, {self.task!r})"
+
     @property
     def task(self) -> Task:
         """The declared task."""

@@ -89,6 +89,9 @@ class FactoredTeam:
             for agent in env.possible_agents
         }
 
+    def __repr__(self) -> str:
+        return f"FactoredTeam({self._name}, {len(self._adapters)} agents, {self._task!r})"
+
     @property
     def task(self) -> Task:
         """The declared task of one agent."""

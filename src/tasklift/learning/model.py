@@ -161,7 +161,7 @@ class Model:
         if self.after.min() < 0 or self.after.max() >= n:
             raise TaskliftError(f"{where}: a transition leads to a state that is not among the {n}")
         lost = np.asarray(self.lost, dtype=np.float64)
-        if (lost < 0).any() or (lost != np.floor(lost)).any():
+        if not ((lost >= 0) & (lost <= 2**31) & (lost == np.floor(lost))).all():
             raise TaskliftError(f"{where}: expected whole numbers of losses from 0; count in smaller units")
         object.__setattr__(self, "lost", lost.astype(np.int64))
         whole_number(self.limit, f"{where}, limit", least=1)

@@ -300,26 +300,31 @@ class Step(_Answer):
         cls, input: int, reward: float, ended: bool, lost: int = 0, success: bool = False, cut: bool = False
     ) -> Step:
         """Check what is answered."""
-        try:
-            finite = isfinite(reward)
-        except (TypeError, ValueError, OverflowError):
-            finite = False
-        if not finite:
+        if not finite(reward):
             raise TaskliftError(f"step, reward: expected a finite number, found {shown(reward)}")
-        return cls.unchecked((input, float(reward), ended, _count(lost) if lost != 0 else 0, success, cut))
+        losses = count_of(lost)
+        if losses < 0:
+            raise TaskliftError(
+                f"step, lost: expected a whole number of at least 0, found {shown(lost)}; count in smaller units"
+            )
+        return cls.unchecked((input, float(reward), ended, losses, success, cut))
 
 
-def _count(lost: Any) -> int:
-    """Return losses as a number of Python's; truth values count as 0 and 1."""
+def finite(reward: Any) -> bool:
+    """Return whether a reward is a finite number."""
+    try:
+        return isfinite(reward)
+    except (TypeError, ValueError, OverflowError):
+        return False
+
+
+def count_of(lost: Any) -> int:
+    """Return losses as an ``int``, truth values as 0 and 1; −1 for what is not a whole number from 0 to 2³¹."""
     try:
         found = int(lost)
+        return found if found == lost and 0 <= found <= 2**31 else -1
     except (TypeError, ValueError, OverflowError):
-        found = -1
-    if found < 0 or found != lost:
-        raise TaskliftError(
-            f"step, lost: expected a whole number of at least 0, found {shown(lost)}; count in smaller units"
-        )
-    return found
+        return -1
 
 
 @runtime_checkable

@@ -169,7 +169,8 @@ def to_ros2(policy: Policy, name: str) -> dict[str, str]:
     """
     if not re.fullmatch(r"[a-z](_?[a-z0-9])+", name):
         raise TaskliftError(
-            f"ROS 2 package: expected a name of small letters, digits and single underscores, found {name!r}"
+            "ROS 2 package: expected a name of two or more small letters, digits and single underscores, a letter "
+            f"first, found {name!r}"
         )
     if keyword.iskeyword(name) or name in (*sys.stdlib_module_names, "rclpy", "std_msgs"):
         raise TaskliftError(f"ROS 2 package: {name!r} is a word or a module of Python's or ROS's; choose another name")

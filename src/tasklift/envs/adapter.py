@@ -111,22 +111,20 @@ class Adapter:
         if not isinstance(mask, str | None):
             raise TaskliftError(f"{name}, mask: expected the name of an entry of info, or None, found {shown(mask)}")
         self.name, self.spaces, self.task, self.limit = name, spaces, task, limit
-        self._index = _finder(spaces[0], task, name) if observe is None else _observer(observe, task)
+        if observe is None:
+            self._index = _finder(spaces[0], task, name)
+        else:
+            self._index = lambda observation: task.input_index(observe(observation))
         self.actions = _actions(spaces[1], task, act, name)
         self._outputs = range(len(self.actions))
         self.agent, self._loss, self._success, self._mask = agent, loss, success, mask
         self._judges = loss is not None or success is not None
         self._shared = any(not isinstance(action, int | np.integer) for action in self.actions)
-        self._seen: Any = None
+        self.seen: Any = None  # the last observation
         self._action: Any = None
         self._output, self._episode, self._steps, self._going, self._paid = 0, 0, 0, False, True
         #: bool (A,): the outputs that are possible now; None: all of the task's
         self.possible: NDArray[np.bool_] | None = None
-
-    @property
-    def seen(self) -> Any:
-        """The last observation."""
-        return self._seen
 
     def input_of(self, observation: Any) -> int:
         """Return the input's index of an observation, or say that it is outside of the declared factoring."""
@@ -154,7 +152,7 @@ class Adapter:
         except (TypeError, ValueError) as error:
             raise self._no_answer("reset", given, "observation, info") from error
         self._episode, self._steps, self._going, self._paid = self._episode + 1, 0, True, True
-        self._seen = _kept(observation)
+        self.seen = _kept(observation)
         self._look(info)
         return self.input_of(observation)
 
@@ -184,14 +182,14 @@ class Adapter:
         self._paid = paid = self._paid and reward > 0
         lives = paid and steps > 1
         if self._judges:
-            before, self._seen = self._seen, _kept(after)
+            before, self.seen = self.seen, _kept(after)
             event = Event(
-                before, self._action, reward, self._seen, terminated, truncated, info, self._output, self
+                before, self._action, reward, self.seen, terminated, truncated, info, self._output, self
             )  # fmt: skip
             lost = self.lost(event)
             success = self.succeeds(event, lost, lives)
         else:
-            self._seen, lost, success = after, 0, truncated if lives else terminated
+            self.seen, lost, success = after, 0, truncated if lives else terminated
         if masked or self.possible is not None:
             self._look(info)
         # what comes back at the end is nothing to act on, and need not be an input of the task
@@ -275,10 +273,6 @@ def _kept(observation: Any) -> Any:
     if type(observation) is int or isinstance(observation, float | str | np.generic):
         return observation
     return observation.copy() if isinstance(observation, np.ndarray) else copy.deepcopy(observation)
-
-
-def _observer(observe: Observe, task: Task) -> Callable[[Any], int]:
-    return lambda observation: task.input_index(observe(observation))
 
 
 def _finder(space: Any, task: Task, name: str) -> Callable[[Any], int]:

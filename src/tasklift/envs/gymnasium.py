@@ -86,7 +86,7 @@ class Factored:
         The most steps of an episode; default: the environment's own limit.
     mask
         The entry of ``info`` that tells which actions are possible next (a mask by action, or one for each part of
-        it), and that learners by value obey. None: look at none.
+        it), and that learners obey. None: look at none.
 
     Raises
     ------
@@ -182,16 +182,7 @@ class Factored:
         """
         if not has_table(self.env):
             raise TaskliftError(f"{self._agent.name}: has no table of transitions (P, initial_state_distrib)")
-        limit, env = self.limit, self.env
-        while env is not self.env.unwrapped:
-            kind = type(env).__name__
-            if kind not in _TRANSPARENT or not type(env).__module__.startswith("gymnasium."):
-                raise TaskliftError(
-                    f"{self._agent.name}: the wrapper {kind} may change what the table of transitions says; "
-                    "learn step by step, on the environment itself"
-                )
-            limit = min(limit, getattr(env, "_max_episode_steps", None) or limit)
-            env = env.env
+        limit = self._wrapped_limit()
         table, start = self.env.unwrapped.P, self.env.unwrapped.initial_state_distrib
         agent, n, outputs = self._agent, len(table), len(self.actions)
         rows = np.array([self.input_of(s) for s in range(n)], dtype=np.int64)
@@ -223,6 +214,20 @@ class Factored:
         found = Model(self.task, rows, start, probability, after, reward, ended, lost, success, limit)
         self._compare(found)
         return found
+
+    def _wrapped_limit(self) -> int:
+        """Return the limit of steps under all wrappers; refuse a wrapper that may change a transition."""
+        limit, env = self.limit, self.env
+        while env is not self.env.unwrapped:
+            kind = type(env).__name__
+            if kind not in _TRANSPARENT or not type(env).__module__.startswith("gymnasium."):
+                raise TaskliftError(
+                    f"{self._agent.name}: the wrapper {kind} may change what the table of transitions says; "
+                    "learn step by step, on the environment itself"
+                )
+            limit = min(limit, getattr(env, "_max_episode_steps", None) or limit)
+            env = env.env
+        return limit
 
     def _compare(self, model: Model) -> None:
         """Play transitions at random; raise :class:`TaskliftError` for one, or for frequencies, not of the model."""

@@ -161,12 +161,7 @@ class ValueLearning:
         told = isinstance(world, Model) and not world.reward.any() and not (self.loss_penalty and world.lost.any())
         if told and self.initial_value == 0:
             raise TaskliftError("nothing can be learned: the model has no reward, and no loss with a loss_penalty")
-        stuck = task.impossible_table().all(axis=1)
-        if stuck.any():
-            raise TaskliftError(
-                f"task {task.name!r}: all outputs are impossible at {task.input_values(int(stuck.argmax()))}; "
-                "a learner by value never chooses what is impossible"
-            )
+        _need_outputs(task)
 
     def learn(
         self, world: Trials | Steps, policy: Policy, run: Run, *, callback: Callable[[Episode], object] | None = None
@@ -347,6 +342,7 @@ def evaluate(
         if epsilon:
             raise TaskliftError(f"evaluate, epsilon: a world of whole trials has no random outputs, found {epsilon}")
         return Fixed().learn(world, policy, asked).outcomes
+    _need_outputs(policy.task)
     values, visits = _without_impossible(policy), np.zeros(policy.task.shape)
     one_trial = _trial_of(world, policy.task, values, visits, ValueLearning())
     return outcomes_of(asked.play(lambda rng: one_trial(rng, epsilon, False)), world.limit)
@@ -389,6 +385,16 @@ def _policy(policy: Policy) -> Policy:
     if not isinstance(policy, Policy):
         raise TaskliftError(f"expected a Policy, found {shown(policy)}")
     return policy
+
+
+def _need_outputs(task: Task) -> None:
+    """Refuse a task with an input at which nothing can be chosen."""
+    stuck = task.impossible_table().all(axis=1)
+    if stuck.any():
+        raise TaskliftError(
+            f"task {task.name!r}: all outputs are impossible at {task.input_values(int(stuck.argmax()))}; "
+            "what is impossible is never chosen"
+        )
 
 
 def _without_impossible(policy: Policy) -> NDArray[np.float64]:

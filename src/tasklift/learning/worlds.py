@@ -334,9 +334,9 @@ class Steps(Protocol):
     An optional attribute ``possible``, bool (A,) or None, says which outputs are possible at the present input, beside
     what the task says; learners choose among them.
 
-    A world of several agents that share one policy has their names as ``agents``. Its ``start`` returns ``{agent:
-    input}``, its ``step`` takes ``{agent: output}`` and returns ``{agent: Step}``, and its ``possible`` is ``{agent:
-    mask}``. An agent whose step has ended, or is cut, is left out from then on.
+    Several agents may share one policy: then ``start`` returns ``{agent: input}``, ``step`` takes ``{agent: output}``
+    and returns ``{agent: Step}``, and ``possible`` is ``{agent: mask}``. An agent whose step has ended, or is cut, is
+    left out from then on.
 
     Examples
     --------
@@ -418,10 +418,11 @@ class View:
         TaskliftError
             If an answer is not a :class:`Step`, or an input is one that the task leaves out.
         """
-        if hasattr(self.world, "agents"):
-            return self._play_team(rng, agent)
         world, columns = self.world, self._columns.tolist()
-        row = self._row(world.start(rng))
+        begun = world.start(rng)
+        if isinstance(begun, dict):
+            return self._play_team(begun, agent)
+        row = self._row(begun)
         course = agent(row, self._possible(getattr(world, "possible", None)))
         column = next(course)
         steps, losses, total, last = 0, 0, 0.0, False
@@ -433,11 +434,11 @@ class View:
             column = course.send(experience)
         return steps, bool(answer.success), losses, total
 
-    def _play_team(self, rng: np.random.Generator, agent: Agent) -> Record:
+    def _play_team(self, inputs: dict[str, int], agent: Agent) -> Record:
         world: Any = self.world
         courses: dict[str, Course] = {}
         chosen: dict[str, int] = {}
-        inputs, possible = world.start(rng), getattr(world, "possible", {})
+        possible = getattr(world, "possible", None) or {}
         for name, seen in inputs.items():
             courses[name] = agent(self._row(seen), self._possible(possible.get(name)))
             chosen[name] = next(courses[name])
@@ -446,7 +447,7 @@ class View:
             answers = world.step({name: int(self._columns[column]) for name, column in chosen.items()})
             if answers.keys() != chosen.keys():
                 raise TaskliftError(f"world: expected answers for {shown(list(chosen))}, found {shown(list(answers))}")
-            steps, possible, chosen = steps + 1, getattr(world, "possible", {}), {}
+            steps, possible, chosen = steps + 1, getattr(world, "possible", None) or {}, {}
             for name, answer in answers.items():
                 experience = self._experience(answer, steps, possible.get(name))
                 column = courses[name].send(experience)

@@ -72,12 +72,13 @@ def _check_steps(world: Steps, trials: int, seed: int) -> None:
 def _walk(world: Any, trial: int, seed: int) -> list[Any]:
     """Run a trial with possible outputs at random; return the first input and every answer, by agent if several."""
     inputs, outputs = world.task.shape
-    choose, team = np.random.default_rng([seed, trial]), hasattr(world, "agents")
+    choose, begun = np.random.default_rng([seed, trial]), world.start(Chances(seed, 0).of(trial))
+    team = isinstance(begun, dict)
 
     def by_agent(value: Any) -> dict[Any, Any]:
         return dict(value or {}) if team else {None: value}
 
-    begun = by_agent(world.start(Chances(seed, 0).of(trial)))
+    begun = by_agent(begun)
     for seen in begun.values():
         assert _whole(seen, 0, inputs), f"world, start: expected an input from 0 to {inputs - 1}, found {seen!r}"
     walked: list[Any] = [{agent: int(seen) for agent, seen in begun.items()}]

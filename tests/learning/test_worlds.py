@@ -111,3 +111,44 @@ def test_an_unknown_option_of_a_run_is_named() -> None:
     for call in (learn_values, partial(reinforce, policy=policy), partial(evaluate, policy=policy)):
         with pytest.raises(TaskliftError, match="unknown option 'callbacks'; the run takes seed, stage"):
             call(Doors(), trials=1, callbacks=[print])
+
+
+# -- several agents ----------------------------------------------------------------------------------------------
+
+
+class Pair:
+    """Two walk to the end of a corridor; the second one begins half-way, and each leaves when it is there."""
+
+    task = Task("corridor", (Variable("place", range(4)),), (Variable("go", ("stay", "on")),))
+    limit = 12
+    possible = None
+
+    def start(self, rng):
+        self.places = {"first": 0, "second": 2}
+        return dict(self.places)
+
+    def step(self, outputs):
+        answers = {}
+        for agent, output in outputs.items():
+            self.places[agent] += output
+            there = self.places[agent] == 4
+            answers[agent] = Step(min(3, self.places[agent]), -1.0, ended=there, success=there)
+        return answers
+
+
+def test_agents_of_a_world_of_ones_own_share_a_policy() -> None:
+    learned = learn_values(Pair(), trials=60)
+    assert learned.policy.best().tolist() == [1, 1, 1, 1]
+    played = evaluate(Pair(), learned.policy, trials=3)
+    assert (played.steps.tolist(), played.returns.tolist()) == ([4] * 3, [-6.0] * 3)
+    assert played.success.all()
+    silent = Pair()
+    silent.step = lambda outputs: {"first": Step(0, 0.0, False)}
+    with pytest.raises(TaskliftError, match=r"expected answers for \['first', 'second'\], found \['first'\]"):
+        evaluate(silent, learned.policy)
+
+
+def test_a_world_of_one_agent_may_have_agents_of_its_own() -> None:
+    world = Doors()
+    world.agents = ["a lock"]
+    assert len(learn_values(world, trials=2).outcomes) == 2

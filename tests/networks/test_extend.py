@@ -305,7 +305,7 @@ def test_priors_of_a_factored_head() -> None:
         (lambda: mlp(6, 8), {"prior": [swap("z")]}, "no variable 'z'"),
         (lambda: mlp(6, 8), {"encoding": "binary"}, "encoding"),
         (lambda: mlp(6, 8), {"new_actions": "high"}, "new_actions"),
-        (lambda: nn.Sequential(nn.Conv1d(6, 3, 1)), {}, "no layer that can be widened"),
+        (lambda: nn.Sequential(nn.Conv1d(6, 3, 1)), {}, "'0' 6 .is a Conv1d, which cannot be widened"),
         (lambda: "net", {}, "expected a torch.nn.Module"),
     ],
 )

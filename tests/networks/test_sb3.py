@@ -15,6 +15,8 @@ sb3 = pytest.importorskip("stable_baselines3")
 import gymnasium  # noqa: E402
 from gymnasium import spaces  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
+from stable_baselines3.common.preprocessing import get_flattened_obs_dim  # noqa: E402
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: E402
 
 from tasklift.networks.sb3 import extend_model, guard_callback, vec_normalize  # noqa: E402
@@ -80,6 +82,49 @@ def test_a_model_goes_on_where_it_was(kind, box) -> None:
     assert wide.num_timesteps >= 600 if kind != "DQN" else wide.replay_buffer.size() > 500 - 1
     with pytest.raises(TaskliftError, match="expected an environment with the observation space"):
         extend_model(model, small, SOURCE, FULL)
+
+
+class Extractor(BaseFeaturesExtractor):
+    def __init__(self, space) -> None:
+        super().__init__(space, 32)
+        self.net = torch.nn.Sequential(torch.nn.Linear(get_flattened_obs_dim(space), 32), torch.nn.ReLU())
+
+    def forward(self, x):
+        return self.net(x)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"net_arch": []},
+        {"net_arch": {"pi": [], "vf": [16]}},
+        {"features_extractor_class": Extractor},
+        {"features_extractor_class": Extractor, "share_features_extractor": False},
+        {"optimizer_class": torch.optim.SGD, "optimizer_kwargs": {"momentum": 0.9}},
+    ],
+    ids=str,
+)
+def test_policies_of_many_kinds_go_on(more) -> None:
+    small, large = DummyVecEnv([lambda: Corridor(False)]), DummyVecEnv([lambda: Corridor(True)])
+    model = sb3.PPO("MlpPolicy", small, n_steps=64, seed=1, device="cpu", policy_kwargs=more).learn(100)
+    wide = extend_model(model, large, SOURCE, FULL)
+    assert score(wide, large) == score(model, small)
+    wide.learn(100)
+
+
+def test_what_is_not_a_model_or_has_another_space_is_refused() -> None:
+    class Number(gymnasium.ObservationWrapper):
+        observation_space = spaces.Discrete(6)
+
+        def observation(self, seen):
+            return int(seen[0])
+
+    env = DummyVecEnv([lambda: Number(Corridor(False))])
+    model = sb3.PPO("MlpPolicy", env, n_steps=64, device="cpu")
+    with pytest.raises(TaskliftError, match=r"Discrete\(6\) is seen as 6 columns, and would be as 12"):
+        extend_model(model, env, SOURCE, FULL)
+    with pytest.raises(TaskliftError, match="expected a model of Stable-Baselines3, found ActorCriticPolicy"):
+        extend_model(model.policy, env, SOURCE, FULL)
 
 
 def test_statistics_of_vec_normalize_follow() -> None:

@@ -90,7 +90,7 @@ def extend_module(
         import torch
     except ImportError as error:
         raise missing("PyTorch", "torch", "a network") from error
-    from tasklift.networks import finding
+    from tasklift.networks import finding, trial
 
     if not isinstance(module, torch.nn.Module):
         raise TaskliftError(f"extend_module: expected a torch.nn.Module, found {type(module).__name__}")
@@ -111,16 +111,17 @@ def extend_module(
         first=tuple(plan.first),
         last=tuple(plan.last),
     )
-    wide = copy.deepcopy(module, _passing(module))
-    _widen(wide, plan, result, new_actions)
-    if prior:
-        _know(wide, result, plan, prior, outputs)
+    wide = copy.deepcopy(module, trial.passing(module))
+    wide = _widen(wide, plan, result, new_actions)
     _widen_buffers(wide, plan, result)
-    wide.extension = result
     if hasattr(wide, "observation_space") and hasattr(wide, "action_space"):
         from tasklift.networks.spaces import retell
 
         retell(wide, result)
+    trial.compare(module, wide, result)
+    if prior:
+        _know(wide, result, plan, prior, outputs)
+    wide.extension = result
     return wide
 
 
@@ -182,7 +183,7 @@ def _outputs(source: Task, target: Task, head: str) -> Side:
     return Side([old[i] for i in range(columns)], np.array(rows))
 
 
-def _widen(wide: nn.Module, plan: Any, extension: Extension, new_actions: float | str) -> None:
+def _widen(wide: nn.Module, plan: Any, extension: Extension, new_actions: float | str) -> nn.Module:
     import torch
 
     from tasklift.networks import layers
@@ -217,8 +218,18 @@ def _widen(wide: nn.Module, plan: Any, extension: Extension, new_actions: float 
             key = f"{name}.{parameter}" if name else parameter
             extension.places[key] = pairs.get(parameter, (None, None))
         new.train(old.training)
-        parent = wide.get_submodule(name.rpartition(".")[0])
-        setattr(parent, name.rpartition(".")[2], new)
+        vars(new).update({key: hooks for key, hooks in vars(old).items() if key.endswith(("_hooks", "_with_kwargs"))})
+        wide = _replaced(wide, old, new)
+    return wide
+
+
+def _replaced(wide: nn.Module, old: nn.Module, new: nn.Module) -> nn.Module:
+    """Put a layer in another one's place, under all the names that it has."""
+    for parent in list(wide.modules()):
+        for name, child in list(parent._modules.items()):
+            if child is old:
+                setattr(parent, name, new)
+    return new if wide is old else wide
 
 
 def _moved(side: Side | None) -> bool:
@@ -251,16 +262,6 @@ def _mixed(value: Tensor, out: Side | None, into: Side | None) -> Tensor:
         made.index_copy_(axis, index_of(one.tolist(), value), wide.index_select(axis, index_of(origin.tolist(), value)))
         wide = made
     return wide
-
-
-def _passing(module: nn.Module) -> dict[int, Any]:
-    """Return, for deepcopy, what the last forward pass left in a network: it is not copied."""
-    left: dict[int, Any] = {}
-    for part in module.modules():
-        left |= {id(v): None for v in vars(part).values() if getattr(v, "grad_fn", None) is not None}
-        if hasattr(chosen := vars(part).get("action_dist"), "distribution"):
-            left[id(chosen.distribution)] = None
-    return left
 
 
 def _start_actions(layer: Any, out: Side, new_actions: float | str, name: str) -> None:
@@ -296,7 +297,7 @@ def _widen_buffers(wide: nn.Module, plan: Any, extension: Extension) -> None:
         for parameter, _ in layer.named_parameters():
             extension.places[f"{name}.{parameter}"] = (extension.inputs, None)
         new.to(next(iter(layer.state_dict().values()), torch.zeros(0))).train(layer.training)
-        setattr(wide.get_submodule(name.rpartition(".")[0]), name.rpartition(".")[2], new)
+        _replaced(wide, layer, new)
     for name in plan.statistics:
         parent = wide.get_submodule(name.rpartition(".")[0])
         key = name.rpartition(".")[2]

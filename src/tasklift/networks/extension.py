@@ -106,7 +106,7 @@ class Extension:
         fill
             As of :meth:`observations`.
         """
-        array = np.asarray(positions).astype(np.int64)
+        array = _whole(positions, [len(v) for v in self.source.inputs], "positions")
         kept = self.source.kept_positions(self.source.ancestor(self.target))
         ours = {v.name: k for k, v in enumerate(self.source.inputs)}
         wide = np.zeros((*array.shape[:-1], len(self.target.inputs)), dtype=np.int64)
@@ -122,10 +122,16 @@ class Extension:
 
     def actions(self, actions: Any) -> NDArray[Any]:
         """Return flat actions (outputs' indices) of the source task as the target's."""
-        return self.source.output_columns(self.source.ancestor(self.target))[np.asarray(actions)]
+        flat = _whole(np.asarray(actions)[..., None], [self.source.shape[1]], "actions")[..., 0]
+        return self.source.output_columns(self.source.ancestor(self.target))[flat]
 
     def statistics(self, mean: Any, variance: Any) -> tuple[Floats, Floats]:
         """Return running means and variances (F,) for the target's columns: new ones begin with mean 0, variance 1."""
+        for found in (mean, variance):
+            if np.shape(found) != (len(self.inputs.old),):
+                raise TaskliftError(
+                    f"extension, statistics: expected the shape ({len(self.inputs.old)},), found {np.shape(found)}"
+                )
         wide_mean, wide_variance = np.zeros(self.inputs.size), np.ones(self.inputs.size)
         wide_mean[self.inputs.old], wide_variance[self.inputs.old] = np.asarray(mean), np.asarray(variance)
         return wide_mean, wide_variance
@@ -143,24 +149,41 @@ class Extension:
         Raises
         ------
         TaskliftError
-            If the optimiser has parameters that are not the module's.
+            If the optimiser has parameters that are not the module's, or moments that are not of a parameter's shape
+            (LBFGS, Adafactor), and if ``extended`` is not the module extended.
         """
         import torch
 
+        if not isinstance(optimizer, torch.optim.Optimizer):
+            raise TaskliftError(f"extension, optimizer: expected an optimiser, found {type(optimizer).__name__}")
         names = {id(parameter): name for name, parameter in module.named_parameters()}
         fresh = dict(extended.named_parameters())
+        given = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+        if strange := [parameter for parameter in given if id(parameter) not in names]:
+            raise TaskliftError(
+                f"extension, optimizer: {len(strange)} parameters are not the module's, the first of shape "
+                f"{tuple(strange[0].shape)}; give the optimiser of this module"
+            )
+        for name, parameter in module.named_parameters():
+            wide = tuple(self._moment(name, parameter.detach()).shape)
+            if name not in fresh or fresh[name].shape != wide:
+                raise TaskliftError(
+                    f"extension, optimizer: expected the extended network, with {name!r} of shape {wide}, found "
+                    f"{tuple(fresh[name].shape) if name in fresh else 'none'}"
+                )
         groups = []
         for group in optimizer.param_groups:
-            if strange := [p for p in group["params"] if id(p) not in names]:
-                raise TaskliftError(
-                    f"extension, optimizer: {len(strange)} parameters are not the module's, the first of shape "
-                    f"{tuple(strange[0].shape)}; give the optimiser of this module"
-                )
             groups.append({**group, "params": [fresh[names[id(p)]] for p in group["params"]]})
         settings = {k: v for k, v in optimizer.defaults.items() if k in _arguments(type(optimizer))}
         result = type(optimizer)(groups, **settings)
         for parameter, state in optimizer.state.items():
             name = names[id(parameter)]
+            for key, value in state.items():
+                if torch.is_tensor(value) and value.dim() and value.shape != parameter.shape and name in self.places:
+                    raise TaskliftError(
+                        f"extension, optimizer: {type(optimizer).__name__} keeps {key!r} of shape {tuple(value.shape)} "
+                        f"for {name!r}, expected {tuple(parameter.shape)}; begin with a fresh optimiser"
+                    )
             result.state[fresh[name]] = {
                 key: self._moment(name, value)
                 if torch.is_tensor(value) and value.shape == parameter.shape
@@ -207,6 +230,17 @@ def representatives(source: Task, target: Task, fill: Mapping[str, Any]) -> NDAr
             inside = (variable.position(fill[variable.name], "extension, fill"),)
         rows = np.add.outer(rows * len(variable), np.asarray(inside)).ravel()
     return rows
+
+
+def _whole(values: Any, sizes: Sequence[int], what: str) -> NDArray[np.int64]:
+    """Return whole numbers (…, n) from 0 to below n sizes, or refuse others."""
+    array = np.asarray(values)
+    fits = array.dtype.kind in "iuf" and array.shape[-1:] == (len(sizes),)
+    if not fits or ((array < 0) | (array >= sizes) | (array % 1 != 0)).any():
+        raise TaskliftError(
+            f"extension, {what}: expected whole numbers from 0 to below {', '.join(map(str, sizes))}, found {values!r}"
+        )
+    return array.astype(np.int64)
 
 
 def _arguments(kind: type) -> set[str]:

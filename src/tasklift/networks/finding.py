@@ -40,6 +40,7 @@ def find(
 ) -> Plan:
     """Return what to widen, or refuse with the names of the layers and the widths expected."""
     layers = dict(module.named_modules())
+    _present(layers)
     encodings: list[Encoding] = ["one-hot", "scalar", "flat"] if encoding is None else [encoding]
     if encoding not in (None, "one-hot", "scalar", "flat"):
         raise TaskliftError(f"extend_module, encoding: expected one-hot, scalar or flat, found {encoding!r}")
@@ -51,16 +52,17 @@ def find(
     chosen = _first(layers, source, encodings, first or known.get("first"))
     ends = _last(layers, heads, last or known.get("last"))
     plan = Plan(chosen[0], ends[0], chosen[1], ends[1])
+    for name in (*plan.first, *plan.last):
+        _alone(layers, name)
     columns = width(source, plan.encoding)
     if plan.encoding != "flat":
         for name, layer in layers.items():
-            if isinstance(layer, nn.BatchNorm1d) and layer.num_features == columns and _leads(name, plan.first):
+            if (
+                isinstance(layer, nn.BatchNorm1d)
+                and layer.num_features == columns
+                and (_leads(name, plan.first) or not _given(layers, columns))
+            ):
                 plan.normalised.append(name)
-            if isinstance(layer, nn.LayerNorm) and layer.normalized_shape == (columns,) and _leads(name, plan.first):
-                raise TaskliftError(
-                    f"extend_module: layer {name!r} (LayerNorm) mixes all {columns} inputs, so new ones would change "
-                    "the outputs; take it out, or normalise each input for itself"
-                )
         for name, buffer in module.named_buffers():
             owner, _, called = name.rpartition(".")
             if isinstance(layers[owner], nn.modules.batchnorm._NormBase) or not buffer.dim():
@@ -68,6 +70,41 @@ def find(
             if buffer.shape[-1] == columns and any(word in called for word in ("mean", "var", "std")):
                 plan.statistics.append(name)
     return plan
+
+
+def _present(layers: dict[str, nn.Module]) -> None:
+    """Refuse parameters and buffers without values."""
+    for name, layer in layers.items():
+        for tensor in (*layer._parameters.values(), *layer._buffers.values()):
+            if nn.parameter.is_lazy(tensor):
+                raise TaskliftError(
+                    f"extend_module: layer {name!r} ({type(layer).__name__}) has no shape yet; run the network once"
+                )
+            if tensor is not None and tensor.is_meta:
+                raise TaskliftError(
+                    f"extend_module: layer {name!r} is on the device 'meta', without values; load them first"
+                )
+
+
+def _alone(layers: dict[str, nn.Module], name: str) -> None:
+    """Refuse a layer that cannot be widened for itself."""
+    if hasattr(layers[name], "prior_knowledge"):
+        raise TaskliftError(
+            f"extend_module: layer {name!r} has prior knowledge of an earlier extension, which cannot be widened; "
+            "extend without a prior before, and give all of it in the last extension"
+        )
+    own = {id(parameter) for parameter in layers[name].parameters()}
+    for other, layer in layers.items():
+        if layer is not layers[name] and not own.isdisjoint(id(p) for p in layer._parameters.values()):
+            raise TaskliftError(
+                f"extend_module: layers {name!r} and {other!r} share a parameter, which cannot fit both once one is "
+                "wider; give each its own"
+            )
+
+
+def _ordinary(layer: nn.Module) -> bool:
+    """Return whether a layer can be widened: its weights are parameters, and not made of others."""
+    return type(layer) in FIRST and not {"weight", "weight_ih_l0"}.isdisjoint(layer._parameters)
 
 
 def _leads(name: str, first: Sequence[str]) -> bool:
@@ -80,12 +117,20 @@ def _leads(name: str, first: Sequence[str]) -> bool:
     return False
 
 
+def _given(layers: dict[str, nn.Module], columns: int) -> bool:
+    """Return whether some layer's output has this width."""
+    return any(columns in (getattr(o, "out_features", 0), getattr(o, "hidden_size", 0)) for o in layers.values())
+
+
 def _known(layers: dict[str, nn.Module]) -> dict[str, list[str]]:
     """Return the layers of a Stable-Baselines3 actor-critic, whose parts have fixed names."""
     if "action_net" not in layers or "mlp_extractor" not in layers:
         return {}
-    first = [f"mlp_extractor.{net}.0" for net in ("policy_net", "value_net") if f"mlp_extractor.{net}.0" in layers]
-    return {"first": first or ["action_net", "value_net"], "last": ["action_net"]}
+    known = {"last": ["action_net"]}
+    if not any(name.startswith("features_extractor.") and [*layer.parameters()] for name, layer in layers.items()):
+        heads = {"mlp_extractor.policy_net.0": "action_net", "mlp_extractor.value_net.0": "value_net"}
+        known["first"] = [name if name in layers else head for name, head in heads.items()]
+    return known
 
 
 def _first(
@@ -106,38 +151,52 @@ def _first(
         )
     for encoding, expected in fits.items():
         kinds = (nn.Embedding,) if encoding == "flat" else tuple(kind for kind in FIRST if kind is not nn.Embedding)
-        found = [n for n, layer in layers.items() if type(layer) in kinds and _size(layer, n) == expected]
+        found = [n for n, layer in layers.items() if type(layer) in kinds and _ordinary(layer)]
+        found = [n for n in found if _size(layers[n], n) == expected]
         found = [n for n in found if not _follows(n, found, layers)]
         if found:
             _unambiguous(found, layers, "first")
             return encoding, found
-    there = [f"{n!r} {getattr(layer, FIRST[type(layer)])}" for n, layer in layers.items() if type(layer) in FIRST]
+    there = _listed(layers, ("in_features", "num_embeddings", "input_size", "in_channels"), fits)
     raise TaskliftError(
         f"extend_module: no layer has the inputs of {source.name!r}: expected {_said(fits)}; "
-        f"found {', '.join(there[:4]) or 'no layer that can be widened'}; name the layers with first="
+        f"found {there or 'no layer that can be widened'}; name the layers with first="
     )
 
 
 def _last(layers: dict[str, nn.Module], heads: dict[str, int], names: Sequence[str] | None) -> tuple[str, list[str]]:
     if names is not None:
+        sizes = {n: getattr(_layer(layers, n, "last"), "out_features", None) for n in names}
         for head, expected in heads.items():
-            if all(getattr(_layer(layers, n, "last"), "out_features", None) == expected for n in names):
+            if all(size == expected and _ordinary(layers[n]) for n, size in sizes.items()):
                 return head, list(names)
-        name = names[0]
-        found = getattr(layers[name], "out_features", None)
-        raise TaskliftError(f"extend_module: layer {name!r} has {found} outputs; expected {_said(heads)}")
+        name = next((n for n, size in sizes.items() if size not in heads.values()), names[0])
+        found = f"has {sizes[name]} outputs" if _ordinary(layers[name]) else _unfit(layers[name])
+        raise TaskliftError(f"extend_module: layer {name!r} {found}; expected {_said(heads)}")
     for head, expected in heads.items():
-        some = [n for n, layer in layers.items() if type(layer) in (nn.Linear, WiderLinear)]
+        some = [n for n, layer in layers.items() if type(layer) in (nn.Linear, WiderLinear) and _ordinary(layer)]
         fit = [n for n in some if getattr(layers[n], "out_features", 0) == expected]
         fit = [n for n in fit if not any(_follows(later, [n], layers) for later in some if later != n)]
         if fit:
             _unambiguous(fit, layers, "last")
             return head, fit
-    sizes = [f"{n!r} {layer.out_features}" for n, layer in layers.items() if isinstance(layer, nn.Linear)]
     raise TaskliftError(
-        f"extend_module: no layer has the outputs: expected {_said(heads)}; found {', '.join(sizes[-4:])}; "
-        "name the layers with last="
+        f"extend_module: no layer has the outputs: expected {_said(heads)}; "
+        f"found {_listed(layers, ('out_features',), heads)}; name the layers with last="
     )
+
+
+def _listed(layers: dict[str, nn.Module], attributes: Sequence[str], fits: Any) -> str:
+    """Return some layers with their widths, those of a width expected first."""
+    widths = {name: [getattr(layer, a) for a in attributes if hasattr(layer, a)] for name, layer in layers.items()}
+    names = sorted((n for n in widths if widths[n]), key=lambda n: widths[n][0] not in fits.values())[:4]
+    notes = {n: "" if _ordinary(layers[n]) else f" ({_unfit(layers[n])})" for n in names}
+    return ", ".join(f"{n!r} {widths[n][0]}{note}" for n, note in notes.items())
+
+
+def _unfit(layer: nn.Module) -> str:
+    made = ", whose weight is made of other parameters," if type(layer) in FIRST else ", which"
+    return f"is a {type(layer).__name__}{made} cannot be widened"
 
 
 def _follows(name: str, others: Sequence[str], layers: dict[str, nn.Module]) -> bool:
@@ -179,10 +238,9 @@ def _layer(layers: dict[str, nn.Module], name: str, which: str) -> nn.Module:
 
 
 def _size(layer: nn.Module, name: str) -> int:
-    if type(layer) not in FIRST:
+    if not _ordinary(layer):
         raise TaskliftError(
-            f"extend_module: layer {name!r} is a {type(layer).__name__}, which cannot be widened; it can be a Linear, "
-            "Embedding, LSTM, GRU or RNN"
+            f"extend_module: layer {name!r} {_unfit(layer)}; it can be a Linear, Embedding, LSTM, GRU or RNN"
         )
     return int(getattr(layer, FIRST[type(layer)]))
 

@@ -47,6 +47,8 @@ class WiderLinear(nn.Linear):
 
     def forward(self, input: Tensor) -> Tensor:
         """Return the outputs (…, out) of inputs (…, in)."""
+        if not torch.jit.is_tracing() and input.shape[-1] != self.in_features:
+            raise RuntimeError(f"expected {self.in_features} inputs, found {input.shape[-1]}")
         ordered = input.index_select(-1, self.columns)
         weight = self.weight.index_select(0, self.rows).index_select(1, self.columns)
         bias = self.bias

@@ -27,6 +27,8 @@ def extend_model(model: Any, env: Any, source_task: Any, target_task: Any, prior
     TaskliftError
         If the environment's spaces are not as wide as the extended policy.
     """
+    if not hasattr(model, "policy"):
+        raise TaskliftError(f"extend_model: expected a model of Stable-Baselines3, found {type(model).__name__}")
     settings.setdefault("outputs", "values" if hasattr(model.policy, "q_net") else "logits")
     policy = extend_module(model.policy, source_task, target_task, prior, **settings)
     extension: Extension = policy.extension

@@ -17,7 +17,13 @@ def retell(policy: Any, extension: Extension) -> None:
     def wider(space: Any, side: str) -> Any:
         variables = getattr(extension.target, side)
         if isinstance(space, spaces.Discrete):
-            return spaces.Discrete(int(np.prod([len(v) for v in variables])))
+            count = int(np.prod([len(v) for v in variables]))
+            if side == "inputs" and count != extension.inputs.size:
+                raise TaskliftError(
+                    f"extend_module: {space} is seen as {space.n} columns, and would be as {count}, where the layers "
+                    f"have {extension.inputs.size}; use a MultiDiscrete space, one number for each input"
+                )
+            return spaces.Discrete(count)
         if isinstance(space, spaces.MultiDiscrete):
             return spaces.MultiDiscrete([len(v) for v in variables])
         if isinstance(space, spaces.MultiBinary):

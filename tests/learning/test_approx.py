@@ -159,13 +159,30 @@ def test_a_task_of_a_million_inputs_and_more_is_learned_and_never_enumerated(mar
     learned = learn_approximate(world, copied, rounds=4, trials=100, discount=0.0, seed=1)
     scratch = learn_approximate(world, rounds=4, trials=100, discount=0.0, seed=1)
     assert play(world, learned.approximation).returns.mean() > 2.8
-    assert learned.outcomes.returns[:100].mean() > scratch.outcomes.returns[:100].mean() + 0.5
+    assert learned.outcomes.returns[:100].mean() > scratch.outcomes.returns[:100].mean() + 0.2
     assert 0 < len(learned.met) <= 4 * 100 * 4
     told = learned.approximation.rules(learned.met, max_leaves=4)
     assert "x0" in told
     assert "x1" in told
     with pytest.raises(TaskliftError, match="would have"):
         learned.approximation.to_policy()
+
+
+@pytest.mark.parametrize("kind", ["tree", "network"])
+def test_going_on_after_an_extension_loses_little_more_than_from_scratch(kind) -> None:
+    world, options = Sorting(4), {"kind": kind, "discount": 0.0}
+    safe = world.task.simplify(fix={"x1": 0}, remove=["x2", "x3"])
+    lost = {"scratch": 0, "copied": 0, "informed": 0}
+    for seed in range(2):
+        v = learn_approximate(Sorting(4, fragile=False), task=safe, seed=seed, rounds=2, trials=40, **options)
+        copied, known = v.approximation.extend(world.task), [swap("side", when={"x1": [7, 8, 9]})]
+        informed = v.approximation.extend(world.task, known)
+        for arm, start in (("scratch", None), ("copied", copied), ("informed", informed)):
+            curve = learn_approximate(world, start, seed=seed, rounds=3, trials=100, **options)
+            lost[arm] += int(curve.outcomes.losses.sum())
+    # a start that repeats its mistake for a whole round loses 1.5 to 1.9 times as much
+    assert lost["copied"] <= 1.15 * lost["scratch"]
+    assert lost["informed"] < 0.75 * lost["scratch"]
 
 
 def test_looking_ahead_pays_in_fitted_iteration() -> None:

@@ -33,6 +33,9 @@ Floats = NDArray[np.float64]
 Positions = NDArray[np.int64]
 Kind = Literal["tree", "network"]
 
+#: Gradient steps of a network's fit, at least; the first fits have little experience, and much to unlearn.
+LEAST_UPDATES = 20
+
 
 class Regressor(Protocol):
     """Weights as a function of inputs."""
@@ -252,10 +255,12 @@ def learn_approximate(
 ) -> ApproximateCurve:
     """Learn by fitted Q iteration (Ernst, Geurts & Wehenkel, JMLR 2005): no table, only what was met.
 
-    Each round runs trials with ε-greedy choice, then fits the weights, which may depend on the start's. Without
-    experience, transferred weights stay. A weight of a state (input) for an action (output) changes only after
-    experience: each value of the state must have occurred together with that action. Without a start, the fit holds
-    for all states. A network takes one gradient step for each step of experience. Outputs that the task or the world
+    Each round runs trials with ε-greedy choice, then fits the weights, which may depend on the start's. In the first
+    round they are fitted after 1, 2, 4, … trials as well: a start that is wrong where danger is new would repeat its
+    mistake for the whole round. Without experience, transferred weights stay. A weight of a state (input) for an action
+    (output) changes only after experience: each value of the state must have occurred, and the action must have been
+    tried. Without a start, the fit holds for all states. A network takes one gradient step for each step of experience,
+    and at least 20 per sweep. Outputs that the task or the world
     says are impossible are never chosen.
 
     Parameters
@@ -312,20 +317,28 @@ def learn_approximate(
         return ApproximateCurve(current, outcomes_of(collector.records, world.limit), tuple(collector.met))
 
     with _one_thread(), keeping(curve):
-        for number in range(rounds):
+        done = 0
+        for fitted in _fits(rounds, trials):
             known = len(collector.steps)
-            for i in range(trials):
-                collector.trial(current, chances.of(number * trials + i), epsilon, loss_penalty)
+            for i in range(done, fitted):
+                collector.trial(current, chances.of(i), epsilon, loss_penalty)
+            done = fitted
             memory = collector.memory()
             met = None if start is None else _met(full, memory)
             base_now = base.rows(memory.before)
-            updates = -(-(len(memory.output) - known) // sweeps)
+            updates = max(LEAST_UPDATES, -(-(len(memory.output) - known) // sweeps))
             for _ in range(sweeps):
                 ahead = np.where(memory.possible, current.rows(memory.after), -np.inf).max(axis=1)
                 ahead = np.where(memory.ended, 0.0, ahead)
                 learner.fit(memory, base_now, memory.reward + discount * ahead, updates)
                 current = Approximation(full, _Corrected(base, learner, met), "value")
     return curve()
+
+
+def _fits(rounds: int, trials: int) -> list[int]:
+    """Return after how many trials the weights are fitted: after 1, 2, 4, … in the first round, then once a round."""
+    early = [2**k for k in range(trials.bit_length()) if 2**k < trials]
+    return early + [trials * (number + 1) for number in range(rounds)]
 
 
 @dataclass
@@ -407,10 +420,11 @@ class _Collector:
 
 
 def _met(task: Task, memory: _Memory) -> list[NDArray[np.bool_]]:
-    """Return, for each input variable, which of its values were met with which output, bool (values, A)."""
+    """Return, for each input variable, which of its values were met, for outputs that were tried, bool (values, A)."""
+    tried = np.isin(np.arange(task.shape[1]), memory.output)
     met = [np.zeros((len(variable), task.shape[1]), np.bool_) for variable in task.inputs]
     for seen, positions in zip(met, memory.before.T, strict=True):
-        seen[positions, memory.output] = True
+        seen[positions] = tried
     return met
 
 
@@ -564,7 +578,7 @@ def _squeezed(targets: Floats) -> Floats:
 
 
 class _Corrected:
-    """A start that is corrected where each value of an input was met with the output."""
+    """A start that is corrected where each value of an input was met and the output was tried."""
 
     def __init__(
         self, base: Approximation, learner: _Trees | _Perceptron, met: list[NDArray[np.bool_]] | None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -160,3 +163,11 @@ def test_the_guard_stops_a_training_that_hurts() -> None:
     assert model.num_timesteps < 5_000
     with pytest.raises(TaskliftError, match="transferred or control"):
         watch.episode("other")
+
+
+def test_with_a_line_of_prior_knowledge_a_noisy_detector_saves_robots() -> None:
+    torch.set_num_threads(1)
+    figures = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "detector.py"))["figures"]
+    lost = {arm: found[0] for arm, found in figures("tasklift/SearchSmall-v0", seed=1, steps=5_000).items()}
+    assert lost["simple task"] == 0
+    assert 0 < 3 * lost["extended, prior"] < lost["from scratch"]

@@ -239,21 +239,29 @@ def test_it_is_drawn(monkeypatch) -> None:
 
 
 def test_a_local_observation_says_what_is_around() -> None:
-    env = SearchEnv(mission(), observe="local")
+    env = SearchEnv(mission(), observe="local", patience=60)
     observations, _ = env.reset(seed=0)
-    seen = observations["scout_0"][13:]
+    assert observations["weapon_6"][13] == pytest.approx(6 / 7)
+    seen = observations["scout_0"][14:]
     corridors = BUILDING.indptr[BUILDING.start + 1] - BUILDING.indptr[BUILDING.start]
     assert seen[:6] == pytest.approx([0, 0, 1, 0, 1, 3 / 7]), "an unarmed robot at the start, where all are one team"
     assert seen[6:14].sum() == corridors
     assert not seen[14:-1].any(), "nobody knows or came by any of them, or was alerted"
     assert seen[-1] == 1, "everybody decides"
     observations = env.step({a: np.array([0, 0, 5]) for a in env.agents})[0]
-    assert observations["weapon_4"][13:17] == pytest.approx([1, 1 / 150, 1, 1 / 21])
-    known = 0.0
-    for _ in range(30):
-        observations = env.step({a: np.array([1, 0, 5]) for a in env.agents})[0]
-        known = max(known, *(seen[27:35].sum() for seen in observations.values()))
-    assert known >= 1
+    assert observations["weapon_4"][14:18] == pytest.approx([1, 60 / 150, 1, 60 / 80])
+    known = alerted = 0
+    for _ in range(300):
+        if not env.agents:
+            observations, infos = env.reset()
+        observations, *_, infos = env.step({a: np.array([1, 0, 5]) for a in env.agents})
+        for agent in env.agents:
+            seen = observations[agent]
+            assert seen[-1] == infos[agent]["decides"]
+            assert not seen[-2] or not seen[0], "who was alerted of a feature suspects danger"
+            known, alerted = known + seen[28:36].any(), alerted + seen[-2]
+    assert known > 50
+    assert alerted > 5
 
 
 def test_declared_variables_are_what_is_seen_and_done() -> None:

@@ -146,11 +146,11 @@ class Observations:
         Whose task and building are seen.
     kind
         ``"values"``: the positions of the input variables, int64. ``"onehot"``: float32, one number for each value.
-        ``"local"``: that, and what a robot knows beside, as numbers from 0 to 1: whether it is armed; the share of the
-        limit that has passed; whether it is at a node, and for how many steps n, as n / (n + 20); how many robots, and
-        how many armed ones, are in its team, as shares of all; of each of up to eight corridors at its node, whether it
-        exists, whether the robot has it in its map, and whether it came by it; whether it is at the feature that it was
-        alerted of; and last, whether it decides now.
+        ``"local"``: that, and what a robot knows beside, as numbers from 0 to 1: its number r of R, as r / R; whether
+        it is armed; the share of the limit that has passed; whether it is at a node, and for how many steps n, as
+        n / (n + 20); how many robots, and how many armed ones, are in its team, as shares of all; of each of up to
+        eight corridors at its node, whether it exists, whether the robot has it in its map, and whether it came by it;
+        whether it is at the feature that it was alerted of; and last, whether it decides now.
     """
 
     def __init__(self, mission: Mission, kind: Observe) -> None:
@@ -161,7 +161,7 @@ class Observations:
         if kind != "values":
             table = np.hstack([np.eye(n, dtype=np.float32)[table[:, i]] for i, n in enumerate(self.sizes)])
         self._table = np.vstack([table, np.zeros_like(table[:1])])  # the last row is what the lost see
-        self.size = self._table.shape[1] + (8 + 3 * CORRIDORS if kind == "local" else 0)
+        self.size = self._table.shape[1] + (9 + 3 * CORRIDORS if kind == "local" else 0)
         self._armed = mission.simulator.world.members["armed"]
         self._limit = mission.limit
         first, last = mission.building.indptr[:-1], mission.building.indptr[1:]
@@ -179,33 +179,37 @@ class Observations:
 
     def of(self, batch: Batch) -> NDArray[Any]:
         """Return what the robots see, int64 or float32 (n, R, F); zeros for the lost."""
-        seen = self._table.take(np.where(batch.alive, batch.rows, len(self._table) - 1), axis=0)
-        if self.kind == "local":
-            return np.concatenate([seen, self._nearby(batch) * batch.alive[..., None]], axis=2)
+        inputs = self._table.take(np.where(batch.alive, batch.rows, len(self._table) - 1), axis=0)
+        if self.kind != "local":
+            return inputs
+        seen = np.empty((*batch.rows.shape, self.size), np.float32)
+        width = inputs.shape[2]
+        seen[..., :width] = inputs
+        self._look_around(batch, seen[..., width:])
+        seen[batch.alive == 0] = 0.0
         return seen
 
-    def _nearby(self, batch: Batch) -> NDArray[np.float32]:
+    def _look_around(self, batch: Batch, seen: NDArray[np.float32]) -> None:
+        """Fill in what is nearby, float32 (n, R, 9 + 3 × CORRIDORS)."""
         robots, step = batch.lanes.robots, batch.lanes.count["step"]
-        node, at_node = robots["node"].astype(np.int64), robots["half"] < 0
+        node, at_node, n_robots = robots["node"].astype(np.int64), robots["half"] < 0, robots.shape[1]
         steps = at_node * (step - robots["arrived"])
-        teams = np.take_along_axis(batch.lanes.teams, robots["team"].astype(np.int64), axis=1)
-        numbers = [
-            np.broadcast_to(self._armed, node.shape),
-            np.broadcast_to(step / self._limit, node.shape),
-            at_node,
-            steps / (steps + 20),
-            teams["size"] / node.shape[1],
-            teams["armed"] / node.shape[1],
-        ]
+        teams, team = batch.lanes.teams, robots["team"].astype(np.int64)
+        seen[..., 0] = np.arange(n_robots) / n_robots
+        seen[..., 1] = self._armed
+        seen[..., 2] = step / self._limit
+        seen[..., 3] = at_node
+        seen[..., 4] = steps / (steps + 20)
+        seen[..., 5] = np.take_along_axis(teams["size"], team, axis=1) / n_robots
+        seen[..., 6] = np.take_along_axis(teams["armed"], team, axis=1) / n_robots
         edge = self._edge[node]
         words = np.take_along_axis(batch.lanes.maps, edge >> 6, axis=2)
         known = (words >> (edge & 63).astype(np.uint64)) & np.uint64(1) == 1
-        came = edge == robots["came"][..., None]
         here = self._exists[node] & at_node[..., None]
-        last = np.stack([at_node & (robots["alert"] == node), batch.decides], axis=2)
-        return np.concatenate(
-            [np.stack(numbers, axis=2), here, here & known, here & came, last], axis=2, dtype=np.float32
-        )
+        for k, flags in enumerate((here, here & known, here & (edge == robots["came"][..., None]))):
+            seen[..., 7 + k * CORRIDORS : 7 + (k + 1) * CORRIDORS] = flags
+        seen[..., -2] = at_node & (robots["alert"] == node)
+        seen[..., -1] = batch.decides
 
 
 class Actions:

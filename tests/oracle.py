@@ -232,14 +232,18 @@ class Oracle:
     def sense(self):
         """[3, 4, 6] Everyone's input, and who is due for a decision."""
         for robot in self.living:
-            weapons = len(self.armed(self.team_of[robot.number]))
-            level = 0 if weapons == 0 else 1 if weapons < self.mission.weapons_needed else 2
-            feature = self.facing(robot)
-            ftr = 1 if feature is None else int(self.building.feature_class[feature])
-            seen = (robot.danger, int(self.goal(robot) is not None), level, ftr)
+            seen = self.input_of(robot)
             if seen != robot.input or robot.waited >= self.reading.patience:
                 robot.due = True
             robot.input = seen
+
+    def input_of(self, robot):
+        """[3, 4] Return a robot's values of Table I's inputs."""
+        weapons = len(self.armed(self.team_of[robot.number]))
+        level = 0 if weapons == 0 else 1 if weapons < self.mission.weapons_needed else 2
+        feature = self.facing(robot)
+        ftr = 1 if feature is None else int(self.building.feature_class[feature])
+        return robot.danger, int(self.goal(robot) is not None), level, ftr
 
     def seen(self, robot):
         """Return the positions of the values of all inputs, by name; Table I's are those that make robots decide."""

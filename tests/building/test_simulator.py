@@ -72,7 +72,7 @@ def assert_same_state(mission, lane, oracle):
         assert (int(mine["node"]), edge, int(mine["progress"])) == (theirs.node, theirs.edge, theirs.progress)
         seen = {v.name: v.values[theirs.seen[v.name]] for v in mission.task.inputs}
         assert int(mine["seen"]) == mission.task.input_index(seen)
-        assert int(mine["row"]) == TABLE_ONE.input_index(dict(zip(TABLE_I, theirs.input, strict=True)))
+        assert int(mine["row"]) == TABLE_ONE.input_index(dict(zip(TABLE_I, oracle.input_of(theirs), strict=True)))
         assert (int(mine["pair_row"]), int(mine["out"])) == theirs.used
         about = None if mine["alert"] < 0 else int(mine["alert"])
         assert (int(mine["dl"]), about) == (theirs.danger, theirs.about)

@@ -105,27 +105,37 @@ def _seen(world, rules, lane, r):
 
 @inline
 def sense(world, rules, lane, r):
-    """Find a robot's input and whether it is due for a decision (rule 6)."""
+    """Find a robot's input; it is due for a decision when that has changed (rule 6)."""
     robot = lane.robots[r]
     row = _input(world, rules, lane, r)
-    if row != robot.row or lane.count[0].tick >= robot.decided + rules.patience:
+    if row != robot.row:
         robot.due = 1
         robot.row = row
 
 
 @inline
-def wake(lane):
-    """Move everyone on by its pace, and list who is looked at in this step: see :func:`plan`."""
+def wake(rules, lane):
+    """Move everyone on by its pace, and list who is looked at in this step (see :func:`plan`), and whether to decide.
+
+    Who is under way and not due has nothing to decide and to choose: it arrives, or meets somebody.
+    """
     robots, count = lane.robots, lane.count[0]
-    tick, n = count.tick, 0
+    tick, n, n_moving = count.tick, 0, 0
     for i in range(count.alive):
         r = lane.roster[i]
         robot = robots[r]
         robot.progress += robot.pace
         if robot.wake <= tick:
-            lane.awake[np.uint32(n)] = r
-            n += 1
+            if tick >= robot.decided + rules.patience:
+                robot.due = 1
+            if robot.half < 0 or robot.due == 1:
+                lane.awake[np.uint32(n)] = r
+                n += 1
+            else:
+                lane.moving[np.uint32(n_moving)] = r
+                n_moving += 1
     count.awake = n
+    count.moving = n_moving
 
 
 @inline
@@ -184,45 +194,46 @@ def draw_output(learner, lane, r):
 
 
 @inline
-def wake_teams(world, rules, lane):
-    """Let the awake find their inputs, and wake every member of a team in which one is due (rule 5)."""
+def wake_teams(lane):
+    """Wake every member of a team in which one is due (rule 5)."""
     robots, teams, count = lane.robots, lane.teams, lane.count[0]
     someone_due = False
     for i in range(count.awake):
         robot = robots[lane.awake[i]]
-        sense(world, rules, lane, lane.awake[i])
         teams[robot.team].due |= robot.due
         someone_due |= robot.due == 1
     if not someone_due:
         return
-    n = 0
+    n, n_moving = 0, 0
     for i in range(count.alive):
         r = lane.roster[i]
         robot = robots[r]
         robot.due = teams[robot.team].due
-        if robot.due == 1 or robot.wake <= count.tick:
-            lane.awake[n] = r
+        if robot.due == 1 or (robot.half < 0 and robot.wake <= count.tick):
+            lane.awake[np.uint32(n)] = r
             n += 1
+        elif robot.wake <= count.tick:
+            lane.moving[np.uint32(n_moving)] = r
+            n_moving += 1
     count.awake = n
+    count.moving = n_moving
     for i in range(n):
         teams[robots[lane.awake[i]].team].due = 0
 
 
 @inline
 def decide(world, rules, learner, lane):
-    """Let the awake find their inputs, and those who are due decide, in robot order (rules 5 and 6).
+    """Let those of the awake who are due decide, in robot order (rules 5 and 6).
 
     Keeps count of who stops at an unresolved feature, and returns whether somebody began to.
     """
     robots, teams, sites, count = lane.robots, lane.teams, lane.sites, lane.count[0]
     began = False
     if rules.by_team == 1:
-        wake_teams(world, rules, lane)
+        wake_teams(lane)
     for i in range(count.awake):
         r = lane.awake[i]
         robot = robots[r]
-        if rules.by_team == 0:
-            sense(world, rules, lane, r)
         if robot.due == 1:
             robot.seen = _seen(world, rules, lane, r)
             lead = teams[robot.team].lead
@@ -246,6 +257,12 @@ def decide(world, rules, learner, lane):
 
 
 @inline
+def _place(world, robot):
+    """Return where a robot is: its node, or the number of nodes + its half-edge."""
+    return np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half
+
+
+@inline
 def _hear(world, lane, robot):
     """Let a robot hear of the nearby feature, the highest-numbered one, at which somebody stops (rule 11)."""
     sites, count = lane.sites, lane.count[0]
@@ -255,7 +272,7 @@ def _hear(world, lane, robot):
         if site.stoppers > 0 and site.resolved == 0:
             robot.dl = 1
             robot.alert = world.near[k]
-            robot.wake = count.tick + 1
+            touch(lane, _place(world, robot))
             count.messages += 1
             return
 
@@ -264,13 +281,15 @@ def _hear(world, lane, robot):
 def alert(world, lane, began):
     """Spread the suspicion of robots that stop at an unresolved feature.
 
-    Who suspects nothing has heard of no earlier stop. So nothing changes but by a stop that has just begun, and for a
-    robot that ``listens``: it came to another node, or its suspicion was resolved.
+    Who suspects nothing has heard of no earlier stop. So nothing changes but by a stop that has just begun, by a
+    suspicion that was resolved, and for a robot that ``listens``: it came to another node.
     """
     count = lane.count[0]
-    for i in range(count.alive if began else count.awake):
-        robot = lane.robots[lane.roster[i] if began else lane.awake[i]]
-        if robot.dl == 0 and (began or robot.listens == 1):
+    everyone = began or count.cleared == 1
+    count.cleared = 0
+    for i in range(count.alive if everyone else count.awake):
+        robot = lane.robots[lane.roster[i] if everyone else lane.awake[i]]
+        if robot.dl == 0 and (everyone or robot.listens == 1):
             _hear(world, lane, robot)
         robot.listens = 0
 
@@ -444,7 +463,7 @@ def _resolve(rules, lane):
 
 
 @inline
-def encounter(rules, learner, lane):
+def encounter(world, rules, learner, lane):
     """Fight at the crossed features; spread the news (rule 10). A drill repels instead of destroying (rule 21)."""
     robots, sites, count, roster = lane.robots, lane.sites, lane.count[0], lane.roster
     highest, second = _resolve(rules, lane)
@@ -478,13 +497,13 @@ def encounter(rules, learner, lane):
         if about >= 0 and sites[about].resolved == 1:
             robot.dl = 0
             robot.alert = -1
-            robot.listens = 1
+            count.cleared = 1
         if news >= 0:
             robot.dl = 2
             robot.alert = news
         if robot.dl != dl or robot.alert != about:
             count.messages += 1
-        robot.wake = count.tick + 1  # what it sees may have changed
+            touch(lane, _place(world, robot))
         roster[living] = r
         living += 1
     count.alive = living
@@ -525,33 +544,36 @@ def arrive(world, lane, r):
 
 @inline
 def move(world, learner, lane):
-    """Send the awake off, and take in those who arrive; :func:`wake` has moved whoever was under way."""
+    """Send off those of the awake who leave, and take in who arrives; :func:`wake` has moved who was under way."""
     robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
+    n_moving = count.moving
     for i in range(count.awake):
         r = lane.awake[i]
         robot = robots[r]
         if robot.alive == 0:
             continue
-        leaving = robot.next >= 0
-        if leaving:
+        if robot.next >= 0:
             take_out(lane, r, robot.node)
             robot.half = robot.next
             robot.next = -1
             robot.progress = _speed(world, learner, lane, r)
+            put_in(lane, r, n_nodes + robot.half)
         if robot.half < 0:
             touch(lane, robot.node)
-            continue
-        place = n_nodes + robot.half
-        if robot.progress >= world.halves[np.uint32(robot.half)].cost_mm:
-            if not leaving:
-                take_out(lane, r, place)
-            arrive(world, lane, r)
-        elif leaving:
-            put_in(lane, r, place)
         else:
-            touch(lane, place)
+            lane.moving[np.uint32(n_moving)] = r
+            n_moving += 1
         # what was decided in mid-corridor takes effect from the next step on
         robot.force = robot.out
+    for i in range(n_moving):
+        r = lane.moving[i]
+        robot = robots[r]
+        place = n_nodes + robot.half
+        if robot.progress >= world.halves[np.uint32(robot.half)].cost_mm:
+            take_out(lane, r, place)
+            arrive(world, lane, r)
+        else:
+            touch(lane, place)
 
 
 # --- who is where ------------------------------------------------------------------------------------------------
@@ -634,39 +656,42 @@ def form_teams(world, rules, lane, place):
     """Find the teams at a place (rule 4), numbered by one of their members; pool their maps (rule 12)."""
     robots, teams, maps = lane.robots, lane.teams, lane.maps
     at_node, first = place < world.nodes.shape[0], lane.places[place].first
-    if first < 0:
-        return
-    alone = robots[first].after < 0
     differ = False
     r = first
     while r >= 0:
         robot = robots[r]
         t = np.uint32(first)
-        if not alone and not at_node:
+        if not at_node:
             t = team_at(lane.slots, lane.count[0].tick, place, robot.progress, np.uint32(r))
-        robot.team = t
         team = teams[t]
         if t == r:
-            team.lead = r
-            team.armed = 0
-            team.size = 0
-            team.slowest = 0
-            team.due = 0
-            team.learned = 0
+            found_team(world, lane, r)
         else:
+            robot.team = t
             team.lead = min(team.lead, np.uint32(r))
+            team.size += 1
+            member = world.members[r]
+            if member.armed == 1:
+                if team.armed == 0 or member.speed_mm < team.slowest:
+                    team.slowest = member.speed_mm
+                team.armed += 1
             if rules.share_map == SHARE_TEAM:
                 for w in range(maps.shape[1]):
                     differ |= maps[r, w] != maps[t, w]
-        team.size += 1
-        member = world.members[r]
-        if member.armed == 1:
-            if team.armed == 0 or member.speed_mm < team.slowest:
-                team.slowest = member.speed_mm
-            team.armed += 1
         r = robot.after
     if differ:
         pool(lane, first)
+
+
+@inline
+def found_team(world, lane, r):
+    """Make robot r a team of its own, which has its number."""
+    team, member = lane.teams[r], world.members[r]
+    lane.robots[r].team = r
+    team.lead = r
+    team.size = 1
+    team.armed = member.armed
+    team.slowest = member.speed_mm
 
 
 @inline
@@ -676,6 +701,7 @@ def pool(lane, first):
     r = first
     while r >= 0:
         t = robots[r].team
+        teams[t].learned = 0
         for w in range(maps.shape[1]):
             pooled[t, w] = maps[r, w] if t == r else pooled[t, w] | maps[r, w]
         r = robots[r].after
@@ -708,56 +734,75 @@ def pool_all(lane):
 
 
 @inline
-def plan(world, rules, learner, lane, place):
-    """Foresee for everyone at a place the tick at which it must be looked at again: it *wakes* then.
-
-    Until then a robot only moves on by its pace. It wakes to decide for want of patience, to arrive, where its input
-    has changed, where it begins or ends to stop at a feature, and when two in one corridor meet or part. What others do
-    to it later (alerts, fights, comings and goings at its place) wakes it or has its place planned anew.
-    """
-    robots, classes = lane.robots, lane.classes
-    tick = lane.count[0].tick
-    n_classes = 0
-    r = lane.places[place].first
+def regroup(world, rules, learner, lane, place):
+    """Find teams and plans anew at a place where something has changed."""
+    first = lane.places[place].first
+    if first < 0:
+        return
+    if lane.robots[first].after < 0:
+        found_team(world, lane, np.uint32(first))
+        plan(world, rules, learner, lane, np.uint32(first))
+        return
+    form_teams(world, rules, lane, place)
+    r = first
     while r >= 0:
-        robot = robots[r]
-        if robot.due == 1:  # it has just arrived
-            robot.wake = tick + 1
-            r = robot.after
-            continue
-        wakes = robot.decided + rules.patience
-        if robot.half >= 0:
-            pace = np.int64(0)
-            if learner.outputs[robot.force].mv == 1:
-                pace = _speed(world, learner, lane, r)
-                way = np.uint64(world.halves[np.uint32(robot.half)].cost_mm - robot.progress + pace - 1)
-                wakes = min(wakes, tick + np.int64(way // np.uint64(pace)))
+        plan(world, rules, learner, lane, np.uint32(r))
+        r = lane.robots[r].after
+    if place >= world.nodes.shape[0]:
+        foresee_meetings(lane, first)
+
+
+@inline
+def plan(world, rules, learner, lane, r):
+    """Find a robot's input, and foresee the tick at which it must be looked at again: it *wakes* then.
+
+    Until then it only moves on by its pace. It wakes to decide, for want of patience or since its input has changed, to
+    arrive, and where it begins or ends to stop at a feature. What others do to it later (alerts, fights, comings and
+    goings at its place) has its place planned anew.
+    """
+    robot, tick = lane.robots[r], lane.count[0].tick
+    sense(world, rules, lane, r)
+    wakes = robot.decided + rules.patience
+    if robot.half >= 0:
+        robot.pace = 0
+        if learner.outputs[robot.force].mv == 1:
+            pace = _speed(world, learner, lane, r)
             robot.pace = pace
-            known = False
-            for c in range(n_classes):
-                gap, faster = classes[c, 0] - robot.progress, pace - classes[c, 1]
-                if gap == 0 and faster == 0:
-                    known = True
-                    break
-                if gap == 0:
-                    wakes = tick + 1
-                elif faster != 0 and (gap > 0) == (faster > 0) and gap % faster == 0:
-                    wakes = min(wakes, tick + gap // faster)
-            if not known and n_classes < classes.shape[0]:
-                classes[n_classes, 0] = robot.progress
-                classes[n_classes, 1] = pace
-                n_classes += 1
-            elif not known:
-                wakes = tick + 1
-        elif _moves(learner, robot):
-            if lane.sites[robot.node].unsearched == 0:
-                wakes = tick + 1
-        elif _stops(world, learner, lane, robot) != robot.stopping:
+            way = np.uint64(world.halves[np.uint32(robot.half)].cost_mm - robot.progress + pace - 1)
+            wakes = min(wakes, tick + np.int64(way // np.uint64(pace)))
+    elif _moves(learner, robot):
+        if lane.sites[robot.node].unsearched == 0:
             wakes = tick + 1
-        if _input(world, rules, lane, r) != robot.row:
+    elif _stops(world, learner, lane, robot) != robot.stopping:
+        wakes = tick + 1
+    robot.wake = tick + 1 if robot.due == 1 else wakes
+
+
+@inline
+def foresee_meetings(lane, first):
+    """Wake robots of one corridor when two of them meet or part."""
+    classes, tick, n_classes = lane.classes, lane.count[0].tick, 0
+    r = first
+    while r >= 0:
+        robot = lane.robots[r]
+        wakes, pace = robot.wake, robot.pace
+        known = False
+        for c in range(n_classes):
+            gap, faster = classes[c, 0] - robot.progress, pace - classes[c, 1]
+            if gap == 0 and faster == 0:
+                known = True
+                break
+            if gap == 0:
+                wakes = tick + 1
+            elif faster != 0 and (gap > 0) == (faster > 0) and gap % faster == 0:
+                wakes = min(wakes, tick + gap // faster)
+        if not known and n_classes < classes.shape[0]:
+            classes[n_classes, 0] = robot.progress
+            classes[n_classes, 1] = pace
+            n_classes += 1
+        elif not known:
             wakes = tick + 1
-        if robot.wake != tick + 1:  # else a fight or an alert has woken it
-            robot.wake = wakes
+        robot.wake = wakes
         r = robot.after
 
 
@@ -772,19 +817,18 @@ def _step(world, rules, learner, lane):
     count.robot_steps += count.alive
     count.touched = 0
     count.arrivals = 0
-    wake(lane)
+    wake(rules, lane)
     began = decide(world, rules, learner, lane)
     if count.outside > 0:
         return OUTSIDE
     if count.stopping > 0 and rules.alerts == 1:
         alert(world, lane, began)
     if leave(world, rules, learner, lane):
-        encounter(rules, learner, lane)
+        encounter(world, rules, learner, lane)
     move(world, learner, lane)
     search(lane)
     for i in range(count.touched):
-        form_teams(world, rules, lane, lane.touched[i])
-        plan(world, rules, learner, lane, lane.touched[i])
+        regroup(world, rules, learner, lane, lane.touched[i])
     if rules.share_map == SHARE_RADIO and count.arrivals > 0:
         pool_all(lane)
     count.step += 1
@@ -810,6 +854,7 @@ def _lane(lanes, i):
         lanes.given[i],
         lanes.roster[i],
         lanes.awake[i],
+        lanes.moving[i],
         lanes.sites[i],
         lanes.places[i],
         lanes.touched[i],
@@ -837,7 +882,6 @@ def _lane(lanes, i):
 def _show(world, rules, lane, steered, i):
     """Write out simulation i's inputs, who lives and who decides next; a lost robot keeps the last that it saw."""
     for k in range(lane.count[0].alive):
-        sense(world, rules, lane, lane.roster[k])
         lane.robots[lane.roster[k]].seen = _seen(world, rules, lane, lane.roster[k])
     for r in range(lane.robots.shape[0]):
         steered.rows[i, r] = lane.robots[r].seen
@@ -956,6 +1000,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     count.outside = 0
     count.key = trial_key
     count.stopping = 0
+    count.cleared = 0
     count.touched = 0
     lane.visited[:] = 0
     lane.maps[:] = 0
@@ -997,6 +1042,8 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.choices = 0
         put_in(lane, r, rules.start)
     form_teams(world, rules, lane, rules.start)
+    for r in range(n_robots):
+        sense(world, rules, lane, r)
     count.rooms_open = 1 if world.search[rules.start] > 0 else 0
     lane.rooms[0] = rules.start
 

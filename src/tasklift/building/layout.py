@@ -36,8 +36,8 @@ PLACE = _record(first="i8", touched="i8")  # a node, or N + a half-edge; the fir
 TEAM = _record(lead="u4", size="i8", armed="i8", slowest="i8", due="i8", learned="i8")
 SLOT = _record(tick="i8", place="i8", progress="i8", team="u4")
 COUNT = _record(
-    step="i8", alive="i8", awake="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8", rooms_open="i8",
-    hostiles_left="i8", losses="i8", messages="i8", used="i8", tick="i8", robot_steps="i8", arrivals="i8", outside="i8",
+    step="i8", alive="i8", awake="i8", moving="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8", rooms_open="i8",
+    hostiles_left="i8", losses="i8", cleared="i8", messages="i8", used="i8", tick="i8", robot_steps="i8", arrivals="i8", outside="i8",
     key="u8",
 )  # fmt: skip
 PAY = _record(progress="f8", loss="f8", success="f8", signal="f8", team_share="f8")  # what a steered simulation rewards
@@ -104,6 +104,7 @@ class Lane(NamedTuple):
     given: Any  # int64 (R,): the output of each robot's next decisions, -1: drawn
     roster: Any  # uint32 (R,): the living, ascending, first `count.alive` entries
     awake: Any  # uint32 (R,): those of them that are looked at in this step, ascending, first `count.awake` entries
+    moving: Any  # uint32 (R,): those who are under way and have nothing to decide, first `count.moving` entries
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
     touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries

@@ -192,6 +192,7 @@ class Simulator:
             given=np.full(n_robots, -1, np.int64),
             roster=np.zeros(n_robots, np.uint32),
             awake=np.zeros(n_robots, np.uint32),
+            moving=np.zeros(n_robots, np.uint32),
             sites=np.zeros(n_nodes, layout.SITE),
             places=np.zeros(n_nodes + n_halves, layout.PLACE),
             touched=np.zeros(n_nodes + n_halves, np.uint32),

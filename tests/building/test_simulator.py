@@ -19,6 +19,7 @@ from tasklift.building.layout import CLASSES
 from tasklift.building.mission import Mission
 from tasklift.building.reading import Reading
 from tasklift.building.search import hostile_candidates, search_and_clear, search_only
+from tasklift.building.simulator import progress_mm
 from tasklift.building.team import SCOUT, WEAPON, Kind
 from tasklift.building.variables import TABLE_I
 from tasklift.errors import TaskliftError
@@ -69,7 +70,8 @@ def assert_same_state(mission, lane, oracle):
         if not theirs.alive:
             continue
         edge = None if mine["half"] < 0 else int(building.edge_of[mine["half"]])
-        assert (int(mine["node"]), edge, int(mine["progress"])) == (theirs.node, theirs.edge, theirs.progress)
+        along = int(progress_mm(mine, count["tick"]))
+        assert (int(mine["node"]), edge, along) == (theirs.node, theirs.edge, theirs.progress)
         seen = {v.name: v.values[theirs.seen[v.name]] for v in mission.task.inputs}
         assert int(mine["seen"]) == mission.task.input_index(seen)
         assert int(mine["row"]) == TABLE_ONE.input_index(dict(zip(TABLE_I, oracle.input_of(theirs), strict=True)))

@@ -43,6 +43,7 @@ _entry = njit(nogil=True, cache=True, **UNCHECKED)
 SPLIT_ROBOTS, SPLIT_PAIRS, SPLIT_TEAM = 0, 1, 2  # rule 7
 SHARE_NONE, SHARE_TEAM, SHARE_RADIO = 0, 1, 2  # rule 12
 TIME_NONE, TIME_INVERTED, TIME_BASELINE = 0, 1, 2  # rule 19
+NEVER = np.int64(2**62)  # a tick that does not come
 GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input that the task leaves out
 
 _draw = inline(scalar.draw)
@@ -115,17 +116,15 @@ def sense(world, rules, lane, r):
 
 @inline
 def wake(rules, lane):
-    """Move everyone on by its pace, and list who is looked at in this step (see :func:`plan`), and whether to decide.
+    """List who is looked at in this step (see :func:`plan`): those who may decide or leave, and the others.
 
     Who is under way and not due has nothing to decide and to choose: it arrives, or meets somebody.
     """
     robots, count = lane.robots, lane.count[0]
     tick, n, n_moving = count.tick, 0, 0
-    for i in range(count.alive):
-        r = lane.roster[i]
-        robot = robots[r]
-        robot.progress += robot.pace
-        if robot.wake <= tick:
+    for r in range(lane.wakes.shape[0]):
+        if lane.wakes[r] <= tick:
+            robot = robots[r]
             if tick >= robot.decided + rules.patience:
                 robot.due = 1
             if robot.half < 0 or robot.due == 1:
@@ -209,10 +208,10 @@ def wake_teams(lane):
         r = lane.roster[i]
         robot = robots[r]
         robot.due = teams[robot.team].due
-        if robot.due == 1 or (robot.half < 0 and robot.wake <= count.tick):
+        if robot.due == 1 or (robot.half < 0 and lane.wakes[r] <= count.tick):
             lane.awake[np.uint32(n)] = r
             n += 1
-        elif robot.wake <= count.tick:
+        elif lane.wakes[r] <= count.tick:
             lane.moving[np.uint32(n_moving)] = r
             n_moving += 1
     count.awake = n
@@ -301,28 +300,25 @@ def _knows(lane, r, edge):
 
 @inline
 def open_edges(world, rules, lane, r):
-    """Mark in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
+    """List in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
     robot, is_open = lane.robots[r], lane.open
     node = world.nodes[robot.node]
-    degree = node.last - node.first
     goal = _goal(rules, robot)
-    back = degree == 1 or (rules.turn_back == 1 and goal >= 0 and goal != robot.node)
-    n_open = 0
-    n_new = 0
-    for j in range(degree):
-        edge = world.halves[node.first + j].edge
-        is_open[j] = 0
-        if back or edge != robot.came:
-            n_open += 1
-            is_open[j] = 1
-            if rules.unvisited_first == 1 and goal < 0 and not _knows(lane, r, edge):
-                n_new += 1
-                is_open[j] = 2
-    if n_new == 0:
-        return n_open
-    for j in range(degree):
-        is_open[j] = 1 if is_open[j] == 2 else 0
-    return n_new
+    back = node.last - node.first == 1 or (rules.turn_back == 1 and goal >= 0 and goal != robot.node)
+    came = np.int64(-1) if back else robot.came
+    prefers_new = rules.unvisited_first == 1 and goal < 0
+    n, n_new = 0, 0
+    for half in range(node.first, node.last):
+        edge = world.halves[np.uint32(half)].edge
+        if edge == came:
+            continue
+        if prefers_new and not _knows(lane, r, edge):  # the first one displaces those that are known
+            is_open[np.uint32(n_new)] = half
+            n_new += 1
+        elif n_new == 0:
+            is_open[np.uint32(n)] = half
+            n += 1
+    return n_new if n_new > 0 else n
 
 
 @inline
@@ -337,34 +333,34 @@ def _nearness(world, rules, node, goal):
 def draw_edge(world, rules, learner, lane, r, n_open):
     """Draw one of the open half-edges by p_j = CA · CovA_j + (1 − CA) · GolC_j (rule 9; section IV)."""
     robot, is_open, share = lane.robots[r], lane.open, lane.share
-    node = world.nodes[robot.node]
-    degree = node.last - node.first
     if n_open == 1:
-        for j in range(degree):
-            if is_open[j] > 0:
-                return node.first + j
+        return is_open[0]
     goal = _goal(rules, robot)
-    coverage = 0.0
-    nearness = 0.0
-    for j in range(degree):
-        share[j] = 0.0
-        if is_open[j] > 0:
-            half = world.halves[node.first + j]
-            coverage += half.coverage
-            share[j] = 1.0
-            if goal >= 0 and goal != robot.node:
-                share[j] = _nearness(world, rules, half.to, goal)
+    coverage, nearness = 0.0, 0.0
+    for j in range(n_open):
+        coverage += world.halves[is_open[j]].coverage
+    if goal >= 0 and goal != robot.node:
+        for j in range(n_open):
+            share[j] = _nearness(world, rules, world.halves[is_open[j]].to, goal)
             nearness += share[j]
     ca = learner.outputs[robot.force].ca
     even = 1.0 / n_open
-    for j in range(degree):
-        if is_open[j] > 0:
-            covered = world.halves[node.first + j].coverage / coverage if coverage > 0.0 else even
-            near = share[j] / nearness if nearness > 0.0 else even
-            share[j] = ca * covered + (1.0 - ca) * near
+    for j in range(n_open):
+        covered = world.halves[is_open[j]].coverage / coverage if coverage > 0.0 else even
+        near = share[j] / nearness if nearness > 0.0 else even
+        share[j] = ca * covered + (1.0 - ca) * near
     u = uniform(lane.count[0].key, r, EDGE_DRAW, robot.choices)
     robot.choices += 1
-    return node.first + _draw(share[:degree], u)
+    return is_open[np.uint32(_draw(share[:n_open], u))]
+
+
+@inline
+def _among(halves, first, n, half):
+    """Return whether a half-edge is among ``n`` of a list, from ``first`` on."""
+    for k in range(first, first + n):
+        if halves[k] == half:
+            return True
+    return False
 
 
 @inline
@@ -373,37 +369,33 @@ def choose_edge(world, rules, learner, lane, r):
 
     With the output BACK it is the one by which it came; others do not mind that one.
     """
-    robot, picks = lane.robots[r], lane.picks
-    site = lane.sites[robot.node]
+    robot, picks, is_open = lane.robots[r], lane.picks, lane.open
+    site, count = lane.sites[robot.node], lane.count[0]
     first = world.nodes[robot.node].first
     if learner.outputs[robot.force].back == 1 and robot.came >= 0:
-        half = first
+        half = np.uint32(first)
         while world.halves[half].edge != robot.came:
-            half += 1
+            half += np.uint32(1)
         return half
     n_open = open_edges(world, rules, lane, r)
     if rules.split == SPLIT_ROBOTS:
         return draw_edge(world, rules, learner, lane, r, n_open)
-    if site.picking != lane.count[0].tick:
-        site.picking = lane.count[0].tick
+    if site.picking != count.tick:
+        site.picking = count.tick
         site.picks = 0
     if rules.split == SPLIT_TEAM:
-        for k in range(site.picks):
-            if lane.open[picks[first + k] - first] > 0:
-                return picks[first + k]
+        for k in range(first, first + site.picks):
+            if _among(is_open, 0, n_open, picks[k]):
+                return picks[k]
     elif site.picks == 2:
-        one, two = picks[first] - first, picks[first + 1] - first
-        n_both = (1 if lane.open[one] > 0 else 0) + (1 if lane.open[two] > 0 else 0)
-        if n_both > 0:
-            for j in range(world.nodes[robot.node].last - first):
-                if j != one and j != two:
-                    lane.open[j] = 0
-            n_open = n_both
+        n_both = 0
+        for j in range(n_open):
+            if _among(picks, first, 2, is_open[j]):
+                is_open[n_both] = is_open[j]
+                n_both += 1
+        n_open = n_both if n_both > 0 else n_open
     half = draw_edge(world, rules, learner, lane, r, n_open)
-    for k in range(site.picks):
-        if picks[first + k] == half:
-            return half
-    if rules.split == SPLIT_TEAM or site.picks < 2:
+    if (rules.split == SPLIT_TEAM or site.picks < 2) and not _among(picks, first, site.picks, half):
         picks[first + site.picks] = half
         site.picks += 1
     return half
@@ -483,6 +475,7 @@ def encounter(world, rules, learner, lane):
             if rules.drill == 0:
                 robot.alive = 0
                 robot.died = count.tick
+                lane.wakes[r] = NEVER
                 count.stopping -= robot.stopping
                 sites[robot.node].stoppers -= robot.stopping
                 robot.stopping = 0
@@ -526,7 +519,7 @@ def arrive(world, lane, r):
     robot.node = half.to
     robot.came = half.edge
     robot.half = -1
-    robot.progress = 0
+    robot.passed = 0
     robot.pace = 0
     robot.due = 1
     robot.listens = 1
@@ -544,9 +537,9 @@ def arrive(world, lane, r):
 
 @inline
 def move(world, learner, lane):
-    """Send off those of the awake who leave, and take in who arrives; :func:`wake` has moved who was under way."""
+    """Send off those of the awake who leave, and take in who arrives."""
     robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
-    n_moving = count.moving
+    tick, n_moving = count.tick, count.moving
     for i in range(count.awake):
         r = lane.awake[i]
         robot = robots[r]
@@ -556,7 +549,9 @@ def move(world, learner, lane):
             take_out(lane, r, robot.node)
             robot.half = robot.next
             robot.next = -1
-            robot.progress = _speed(world, learner, lane, r)
+            robot.passed = _speed(world, learner, lane, r)
+            robot.planned = tick
+            robot.arrives = tick if robot.passed >= world.halves[np.uint32(robot.half)].cost_mm else NEVER
             put_in(lane, r, n_nodes + robot.half)
         if robot.half < 0:
             touch(lane, robot.node)
@@ -569,7 +564,7 @@ def move(world, learner, lane):
         r = lane.moving[i]
         robot = robots[r]
         place = n_nodes + robot.half
-        if robot.progress >= world.halves[np.uint32(robot.half)].cost_mm:
+        if robot.arrives <= tick:
             take_out(lane, r, place)
             arrive(world, lane, r)
         else:
@@ -634,19 +629,19 @@ def search(lane):
 
 
 @inline
-def team_at(slots, tick, place, progress, fresh):
-    """Return the number of the team at a place and progress; the first one there founds team ``fresh`` (rule 4)."""
+def team_at(slots, tick, place, passed, fresh):
+    """Return the number of the team at a place that has come as far; the first one there founds team ``fresh`` (rule 4)."""
     mask = np.uint32(slots.shape[0] - 1)
-    address = (np.uint64(place) * FIRST + np.uint64(progress)) * GOLDEN
+    address = (np.uint64(place) * FIRST + np.uint64(passed)) * GOLDEN
     at = np.uint32(address >> np.uint64(32)) & mask
     while slots[at].tick == tick:
-        if slots[at].place == place and slots[at].progress == progress:
+        if slots[at].place == place and slots[at].passed == passed:
             return slots[at].team
         at = np.uint32(at + 1) & mask
     slot = slots[at]
     slot.tick = tick
     slot.place = place
-    slot.progress = progress
+    slot.passed = passed
     slot.team = fresh
     return fresh
 
@@ -662,7 +657,8 @@ def form_teams(world, rules, lane, place):
         robot = robots[r]
         t = np.uint32(first)
         if not at_node:
-            t = team_at(lane.slots, lane.count[0].tick, place, robot.progress, np.uint32(r))
+            _come_along(lane, robot)
+            t = team_at(lane.slots, lane.count[0].tick, place, robot.passed, np.uint32(r))
         team = teams[t]
         if t == r:
             found_team(world, lane, r)
@@ -681,6 +677,13 @@ def form_teams(world, rules, lane, place):
         r = robot.after
     if differ:
         pool(lane, first)
+
+
+@inline
+def _come_along(lane, robot):
+    """Bring up to date how far a robot has come along its corridor."""
+    robot.passed += robot.pace * (lane.count[0].tick - robot.planned)
+    robot.planned = lane.count[0].tick
 
 
 @inline
@@ -740,6 +743,7 @@ def regroup(world, rules, learner, lane, place):
     if first < 0:
         return
     if lane.robots[first].after < 0:
+        _come_along(lane, lane.robots[first])
         found_team(world, lane, np.uint32(first))
         plan(world, rules, learner, lane, np.uint32(first))
         return
@@ -765,17 +769,19 @@ def plan(world, rules, learner, lane, r):
     wakes = robot.decided + rules.patience
     if robot.half >= 0:
         robot.pace = 0
+        robot.arrives = NEVER
         if learner.outputs[robot.force].mv == 1:
             pace = _speed(world, learner, lane, r)
             robot.pace = pace
-            way = np.uint64(world.halves[np.uint32(robot.half)].cost_mm - robot.progress + pace - 1)
-            wakes = min(wakes, tick + np.int64(way // np.uint64(pace)))
+            way = np.uint64(world.halves[np.uint32(robot.half)].cost_mm - robot.passed + pace - 1)
+            robot.arrives = tick + np.int64(way // np.uint64(pace))
+            wakes = min(wakes, robot.arrives)
     elif _moves(learner, robot):
         if lane.sites[robot.node].unsearched == 0:
             wakes = tick + 1
     elif _stops(world, learner, lane, robot) != robot.stopping:
         wakes = tick + 1
-    robot.wake = tick + 1 if robot.due == 1 else wakes
+    lane.wakes[r] = tick + 1 if robot.due == 1 else wakes
 
 
 @inline
@@ -785,10 +791,10 @@ def foresee_meetings(lane, first):
     r = first
     while r >= 0:
         robot = lane.robots[r]
-        wakes, pace = robot.wake, robot.pace
+        wakes, pace = lane.wakes[np.uint32(r)], robot.pace
         known = False
         for c in range(n_classes):
-            gap, faster = classes[c, 0] - robot.progress, pace - classes[c, 1]
+            gap, faster = classes[c, 0] - robot.passed, pace - classes[c, 1]
             if gap == 0 and faster == 0:
                 known = True
                 break
@@ -797,12 +803,12 @@ def foresee_meetings(lane, first):
             elif faster != 0 and (gap > 0) == (faster > 0) and gap % faster == 0:
                 wakes = min(wakes, tick + gap // faster)
         if not known and n_classes < classes.shape[0]:
-            classes[n_classes, 0] = robot.progress
+            classes[n_classes, 0] = robot.passed
             classes[n_classes, 1] = pace
             n_classes += 1
         elif not known:
             wakes = tick + 1
-        robot.wake = wakes
+        lane.wakes[np.uint32(r)] = wakes
         r = robot.after
 
 
@@ -855,6 +861,7 @@ def _lane(lanes, i):
         lanes.roster[i],
         lanes.awake[i],
         lanes.moving[i],
+        lanes.wakes[i],
         lanes.sites[i],
         lanes.places[i],
         lanes.touched[i],
@@ -1021,11 +1028,12 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.half = -1
         robot.next = -1
         robot.came = -1
-        robot.progress = 0
+        robot.passed = 0
+        robot.planned = count.tick
         robot.pace = 0
         robot.due = 1
         robot.decided = count.tick + 1  # the first decision falls due then
-        robot.wake = count.tick + 1
+        lane.wakes[r] = count.tick + 1
         robot.row = -1
         robot.seen = -1
         robot.arrived = 0

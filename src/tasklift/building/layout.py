@@ -22,10 +22,10 @@ HALF = _record(to="u4", edge="u4", cost_mm="i8", coverage="f8")
 MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
 ROBOT = _record(
-    alive="i8", node="u4", half="i8", next="i8", came="i8", progress="i8", pace="i8",  # half, next, came: -1 for none
+    alive="i8", node="u4", half="i8", next="i8", came="i8", passed="i8", pace="i8",  # half, next, came: -1 for none
     due="i8", decided="i8", row="i8", pair_row="u4", out="u4", force="u4", repelled="i8", crossing="i8",
     dl="i8", alert="i8", team="u4", decisions="i8", choices="i8",
-    wake="i8", died="i8", stopping="i8", listens="i8", after="i8", before="i8",  # decided, wake, died: ticks
+    planned="i8", arrives="i8", died="i8", stopping="i8", listens="i8", after="i8", before="i8",  # ticks: decided, planned, arrives, died
     seen="i8", arrived="i8",  # its row of the mission's table at its last decision; the step in which it came to `node`
 )  # fmt: skip
 SITE = _record(
@@ -34,7 +34,7 @@ SITE = _record(
 )  # fmt: skip
 PLACE = _record(first="i8", touched="i8")  # a node, or N + a half-edge; the first robot there, -1 for none
 TEAM = _record(lead="u4", size="i8", armed="i8", slowest="i8", due="i8", learned="i8")
-SLOT = _record(tick="i8", place="i8", progress="i8", team="u4")
+SLOT = _record(tick="i8", place="i8", passed="i8", team="u4")
 COUNT = _record(
     step="i8", alive="i8", awake="i8", moving="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8", rooms_open="i8",
     hostiles_left="i8", losses="i8", cleared="i8", messages="i8", used="i8", tick="i8", robot_steps="i8", arrivals="i8", outside="i8",
@@ -105,13 +105,14 @@ class Lane(NamedTuple):
     roster: Any  # uint32 (R,): the living, ascending, first `count.alive` entries
     awake: Any  # uint32 (R,): those of them that are looked at in this step, ascending, first `count.awake` entries
     moving: Any  # uint32 (R,): those who are under way and have nothing to decide, first `count.moving` entries
+    wakes: Any  # int64 (R,): the tick at which each must be looked at again
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
     touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries
     rooms: Any  # uint32 (N,): rooms that are being searched, first `count.rooms_open` entries
     picks: Any  # uint32 (H,): per node, the half-edges chosen in this step, in order
-    open: Any  # uint8 (largest degree,): which of a node's half-edges a robot may take
-    share: Any  # float64 (largest degree,): p_j over them, 0 where not open
+    open: Any  # uint32 (largest degree,): the half-edges that a robot may take
+    share: Any  # float64 (largest degree,): p_j over them
     visited: Any  # uint8 (E,)
     maps: Any  # uint64 (R, W): the edges in each robot's map
     pooled: Any  # uint64 (R, W): scratch, by team

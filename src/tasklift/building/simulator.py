@@ -193,12 +193,13 @@ class Simulator:
             roster=np.zeros(n_robots, np.uint32),
             awake=np.zeros(n_robots, np.uint32),
             moving=np.zeros(n_robots, np.uint32),
+            wakes=np.zeros(n_robots, np.int64),
             sites=np.zeros(n_nodes, layout.SITE),
             places=np.zeros(n_nodes + n_halves, layout.PLACE),
             touched=np.zeros(n_nodes + n_halves, np.uint32),
             rooms=np.zeros(n_nodes, np.uint32),
             picks=np.zeros(n_halves, np.uint32),
-            open=np.zeros(degree, np.uint8),
+            open=np.zeros(degree, np.uint32),
             share=np.zeros(degree),
             visited=np.zeros(n_edges, np.uint8),
             maps=np.zeros((n_robots, words), np.uint64),
@@ -579,8 +580,13 @@ class Simulator:
         )
 
 
-#: A robot's record in a trace: with the steps since its last decision.
-_SEEN = np.dtype([(name, "i8") for name in (*(layout.ROBOT.names or ()), "since")])
+#: A robot's record in a trace: with how far it has come along its corridor, and the steps since its last decision.
+_SEEN = np.dtype([(name, "i8") for name in (*(layout.ROBOT.names or ()), "progress", "since")])
+
+
+def progress_mm(robots: NDArray[Any], tick: NDArray[np.int64] | int) -> NDArray[np.int64]:
+    """Return how far robots have come along their corridors at a tick: the kernel keeps it only where it needs it."""
+    return robots["passed"] + robots["pace"] * (tick - robots["planned"])
 
 
 def _frame(lane: layout.Lane) -> dict[str, Any]:
@@ -589,6 +595,7 @@ def _frame(lane: layout.Lane) -> dict[str, Any]:
         robots[name] = lane.robots[name]
     robots["row"] = robots["seen"]
     now = lane.count["tick"][0]
+    robots["progress"] = progress_mm(lane.robots, now)
     robots["since"] = np.where(robots["alive"] == 1, now + 1, robots["died"]) - robots["decided"]
     return {
         "robots": robots,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tasklift.building.draw import draw_plan
 from tasklift.building.mission import Mission
+from tasklift.building.simulator import progress_mm
 from tasklift.checks import one_of
 from tasklift.envs.batch import Batch
 from tasklift.style import SERIES
@@ -83,7 +84,7 @@ class Picture:
         """Draw the first mission of a batch as it is now; pixels uint8 (height, width, 3), None in a window."""
         robots, sites = batch.lanes.robots[0], batch.lanes.sites[0]
         half = np.maximum(robots["half"], 0)
-        share = np.where(robots["half"] >= 0, robots["progress"] / self._cost[half], 0.0)[:, None]
+        share = np.where(robots["half"] >= 0, progress_mm(robots, batch.lanes.count["tick"][0, 0]) / self._cost[half], 0.0)[:, None]
         here = self._at[robots["node"]]
         places = here + share * (self._at[self._to[half]] - here)
         # robots at one place stand around it

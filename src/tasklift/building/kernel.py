@@ -46,7 +46,6 @@ TIME_NONE, TIME_INVERTED, TIME_BASELINE = 0, 1, 2  # rule 19
 NEVER = np.int64(2**62)  # a tick that does not come
 GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input that the task leaves out
 
-_draw = inline(scalar.draw)
 _draw_summed = inline(scalar.draw_summed)
 _heaviest = inline(scalar.heaviest)
 _reinforced = inline(scalar.reinforce)
@@ -91,11 +90,21 @@ def _stops(world, learner, lane, robot):
 def _input(world, rules, lane, r):
     """Return robot r's input of Table I, numbered in C order. Robots decide anew when it changes (rule 6)."""
     return (
-        sensors.danger_level(world, rules, lane, r, world.numbers) * 30
-        + sensors.goal_known(world, rules, lane, r, world.numbers) * 15
+        lane.robots[r].alarmed
         + sensors.weapon_robots(world, rules, lane, r, world.numbers) * 5
         + sensors.feature_faced(world, rules, lane, r, world.numbers)
     )
+
+
+@inline
+def hear(world, rules, lane, r, dl, about):
+    """Let robot r know of danger at a feature; note the part of its input that nothing else changes."""
+    robot = lane.robots[r]
+    robot.dl = dl
+    robot.alert = about
+    danger = sensors.danger_level(world, rules, lane, r, world.numbers)
+    robot.alarmed = danger * 30 + sensors.goal_known(world, rules, lane, r, world.numbers) * 15
+    touch(lane, np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
 
 
 @inline
@@ -148,10 +157,11 @@ def reinforce(learner, lane, row, out, signal):
 def credit(learner, lane, row, out):
     """Book the use of (row, out) and apply its local signal at once (rules 17 and 19)."""
     count = lane.count[0]
-    fresh = lane.used[row, out] == 0
+    pair = np.uint32(row * lane.weights.shape[1] + out)
+    fresh = lane.used[pair] == 0
     if fresh:
-        lane.used[row, out] = 1
-        lane.pairs[count.used] = row * lane.used.shape[1] + out
+        lane.used[pair] = 1
+        lane.pairs[count.used] = pair
         count.used += 1
     if learner.learn == 1 and learner.sweep_all == 0 and (fresh or learner.once == 0):
         signal = learner.signal[row, out]
@@ -256,28 +266,19 @@ def decide(world, rules, learner, lane):
 
 
 @inline
-def _place(world, robot):
-    """Return where a robot is: its node, or the number of nodes + its half-edge."""
-    return np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half
-
-
-@inline
-def _hear(world, lane, robot):
+def _listen(world, rules, lane, r):
     """Let a robot hear of the nearby feature, the highest-numbered one, at which somebody stops (rule 11)."""
-    sites, count = lane.sites, lane.count[0]
-    node = world.nodes[robot.node]
+    node = world.nodes[lane.robots[r].node]
     for k in range(node.near_first, node.near_last):
-        site = sites[world.near[k]]
+        site = lane.sites[world.near[k]]
         if site.stoppers > 0 and site.resolved == 0:
-            robot.dl = 1
-            robot.alert = world.near[k]
-            touch(lane, _place(world, robot))
-            count.messages += 1
+            hear(world, rules, lane, r, 1, world.near[k])
+            lane.count[0].messages += 1
             return
 
 
 @inline
-def alert(world, lane, began):
+def alert(world, rules, lane, began):
     """Spread the suspicion of robots that stop at an unresolved feature.
 
     Who suspects nothing has heard of no earlier stop. So nothing changes but by a stop that has just begun, by a
@@ -287,9 +288,10 @@ def alert(world, lane, began):
     everyone = began or count.cleared == 1
     count.cleared = 0
     for i in range(count.alive if everyone else count.awake):
-        robot = lane.robots[lane.roster[i] if everyone else lane.awake[i]]
+        r = lane.roster[i] if everyone else lane.awake[i]
+        robot = lane.robots[r]
         if robot.dl == 0 and (everyone or robot.listens == 1):
-            _hear(world, lane, robot)
+            _listen(world, rules, lane, r)
         robot.listens = 0
 
 
@@ -303,13 +305,14 @@ def open_edges(world, rules, lane, r):
     """List in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
     robot, is_open = lane.robots[r], lane.open
     node = world.nodes[robot.node]
-    goal = _goal(rules, robot)
-    back = node.last - node.first == 1 or (rules.turn_back == 1 and goal >= 0 and goal != robot.node)
+    degree, goal = node.last - node.first, _goal(rules, robot)
+    back = degree == 1 or (rules.turn_back == 1 and goal >= 0 and goal != robot.node)
     came = np.int64(-1) if back else robot.came
     prefers_new = rules.unvisited_first == 1 and goal < 0
     n, n_new = 0, 0
-    for half in range(node.first, node.last):
-        edge = world.halves[np.uint32(half)].edge
+    for j in range(degree):
+        half = np.uint32(node.first + j)
+        edge = world.halves[half].edge
         if edge == came:
             continue
         if prefers_new and not _knows(lane, r, edge):  # the first one displaces those that are known
@@ -344,14 +347,18 @@ def draw_edge(world, rules, learner, lane, r, n_open):
             share[j] = _nearness(world, rules, world.halves[is_open[j]].to, goal)
             nearness += share[j]
     ca = learner.outputs[robot.force].ca
-    even = 1.0 / n_open
+    even, running = 1.0 / n_open, 0.0
     for j in range(n_open):
         covered = world.halves[is_open[j]].coverage / coverage if coverage > 0.0 else even
         near = share[j] / nearness if nearness > 0.0 else even
-        share[j] = ca * covered + (1.0 - ca) * near
-    u = uniform(lane.count[0].key, r, EDGE_DRAW, robot.choices)
+        running += ca * covered + (1.0 - ca) * near
+        share[j] = running
+    target = uniform(lane.count[0].key, r, EDGE_DRAW, robot.choices) * running
     robot.choices += 1
-    return is_open[np.uint32(_draw(share[:n_open], u))]
+    j = 0
+    while target >= share[j]:  # it is less than the last sum, which is about 1
+        j += 1
+    return is_open[np.uint32(j)]
 
 
 @inline
@@ -488,15 +495,13 @@ def encounter(world, rules, learner, lane):
         news = second if engaged and robot.node == highest else highest
         dl, about = robot.dl, robot.alert
         if about >= 0 and sites[about].resolved == 1:
-            robot.dl = 0
-            robot.alert = -1
+            dl, about = np.int64(0), np.int64(-1)
             count.cleared = 1
         if news >= 0:
-            robot.dl = 2
-            robot.alert = news
+            dl, about = np.int64(2), news
         if robot.dl != dl or robot.alert != about:
+            hear(world, rules, lane, r, dl, about)
             count.messages += 1
-            touch(lane, _place(world, robot))
         roster[living] = r
         living += 1
     count.alive = living
@@ -551,9 +556,12 @@ def move(world, learner, lane):
             robot.next = -1
             robot.passed = _speed(world, learner, lane, r)
             robot.planned = tick
-            robot.arrives = tick if robot.passed >= world.halves[np.uint32(robot.half)].cost_mm else NEVER
             put_in(lane, r, n_nodes + robot.half)
-        if robot.half < 0:
+            if robot.passed >= world.halves[np.uint32(robot.half)].cost_mm:  # the corridor is so short
+                robot.arrives = tick
+                lane.moving[np.uint32(n_moving)] = r
+                n_moving += 1
+        elif robot.half < 0:
             touch(lane, robot.node)
         else:
             lane.moving[np.uint32(n_moving)] = r
@@ -600,15 +608,17 @@ def put_in(lane, r, place):
 @inline
 def take_out(lane, r, place):
     """Take a robot out of the list of those at a place."""
-    robot, place = lane.robots[r], np.uint32(place)
-    if robot.before >= 0:
-        lane.robots[robot.before].after = robot.after
+    place, before, after = np.uint32(place), lane.robots[r].before, lane.robots[r].after
+    if before < 0 and after < 0:
+        lane.places[place].first = -1
+        return
+    if before >= 0:
+        lane.robots[before].after = after
     else:
-        lane.places[place].first = robot.after
-    if robot.after >= 0:
-        lane.robots[robot.after].before = robot.before
-    if lane.places[place].first >= 0:
-        touch(lane, place)
+        lane.places[place].first = after
+    if after >= 0:
+        lane.robots[after].before = before
+    touch(lane, place)
 
 
 @inline
@@ -690,6 +700,8 @@ def _come_along(lane, robot):
 def found_team(world, lane, r):
     """Make robot r a team of its own, which has its number."""
     team, member = lane.teams[r], world.members[r]
+    if lane.robots[r].team == r and team.size == 1:
+        return
     lane.robots[r].team = r
     team.lead = r
     team.size = 1
@@ -776,11 +788,12 @@ def plan(world, rules, learner, lane, r):
             way = np.uint64(world.halves[np.uint32(robot.half)].cost_mm - robot.passed + pace - 1)
             robot.arrives = tick + np.int64(way // np.uint64(pace))
             wakes = min(wakes, robot.arrives)
-    elif _moves(learner, robot):
-        if lane.sites[robot.node].unsearched == 0:
+    elif robot.due == 0:
+        if _moves(learner, robot):
+            if lane.sites[robot.node].unsearched == 0:
+                wakes = tick + 1
+        elif _stops(world, learner, lane, robot) != robot.stopping:
             wakes = tick + 1
-    elif _stops(world, learner, lane, robot) != robot.stopping:
-        wakes = tick + 1
     lane.wakes[r] = tick + 1 if robot.due == 1 else wakes
 
 
@@ -828,7 +841,7 @@ def _step(world, rules, learner, lane):
     if count.outside > 0:
         return OUTSIDE
     if count.stopping > 0 and rules.alerts == 1:
-        alert(world, lane, began)
+        alert(world, rules, lane, began)
     if leave(world, rules, learner, lane):
         encounter(world, rules, learner, lane)
     move(world, learner, lane)
@@ -993,9 +1006,8 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     count = lane.count[0]
     n_robots = world.members.shape[0]
     count.tick += 1
-    n_outputs = lane.used.shape[1]
     for k in range(count.used):
-        lane.used[lane.pairs[k] // n_outputs, lane.pairs[k] % n_outputs] = 0
+        lane.used[lane.pairs[k]] = 0
     count.step = 0
     count.alive = n_robots
     count.edges_left = lane.visited.shape[0]
@@ -1045,6 +1057,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.stopping = 0
         robot.dl = 0
         robot.alert = -1
+        robot.alarmed = 0
         robot.listens = 1
         robot.decisions = 0
         robot.choices = 0

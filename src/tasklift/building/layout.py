@@ -24,7 +24,7 @@ OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
 ROBOT = _record(
     alive="i8", node="u4", half="i8", next="i8", came="i8", passed="i8", pace="i8",  # half, next, came: -1 for none
     due="i8", decided="i8", row="i8", pair_row="u4", out="u4", force="u4", repelled="i8", crossing="i8",
-    dl="i8", alert="i8", team="u4", decisions="i8", choices="i8",
+    dl="i8", alert="i8", alarmed="i8", team="u4", decisions="i8", choices="i8",
     planned="i8", arrives="i8", died="i8", stopping="i8", listens="i8", after="i8", before="i8",  # ticks: decided, planned, arrives, died
     seen="i8", arrived="i8",  # its row of the mission's table at its last decision; the step in which it came to `node`
 )  # fmt: skip
@@ -119,7 +119,7 @@ class Lane(NamedTuple):
     teams: Any  # TEAM (R,): at the number of one of its members
     slots: Any  # SLOT (power of two, at least 2 R,): hash of places to teams
     classes: Any  # int64 (CLASSES, 2): scratch, progress and pace
-    used: Any  # uint8 (S, A): 1 for each pair that was used in this trial
+    used: Any  # uint8 (S * A,): 1 for each pair that was used in this trial
     pairs: Any  # int32 (S * A,): the pairs used in this trial, in order of first use
     shuffle: Any  # uint32: scratch for placing hostiles
     count: Any  # COUNT (1,)

@@ -207,7 +207,7 @@ class Simulator:
             teams=np.zeros(n_robots, layout.TEAM),
             slots=np.zeros(1 << (2 * n_robots - 1).bit_length(), layout.SLOT),
             classes=np.zeros((layout.CLASSES, 2), np.int64),
-            used=np.zeros(shape, np.uint8),
+            used=np.zeros(math.prod(shape), np.uint8),
             pairs=np.zeros(math.prod(shape), np.int32),
             shuffle=np.zeros(len(self.world.candidates), np.uint32),
             count=np.zeros(1, layout.COUNT),
@@ -268,7 +268,7 @@ class Simulator:
         sizes = self._sizes[:3]
         if not isinstance(lane, layout.Lane) or (len(lane.robots), len(lane.sites), len(lane.visited)) != sizes:
             raise TaskliftError("simulator: expected a lane that this simulator's `lane` allocated")
-        if lane.used.shape != lane.weights.shape:
+        if lane.sums.shape != lane.weights.shape:
             raise TaskliftError("simulator: the lane's weights have another shape than it was allocated for")
 
     # --- running ------------------------------------------------------------------------------------------------

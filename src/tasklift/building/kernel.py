@@ -127,21 +127,23 @@ def sense(world, rules, lane, r):
 def wake(rules, lane):
     """List who is looked at in this step (see :func:`plan`): those who may decide or leave, and the others.
 
-    Who is under way and not due has nothing to decide and to choose: it arrives, or meets somebody.
+    Who is under way and not due has nothing to decide and to choose: it arrives, or meets somebody. No branch depends
+    on who wakes: processors would guess it wrong, and lose more time than the rest of the loop takes.
     """
-    robots, count = lane.robots, lane.count[0]
-    tick, n, n_moving = count.tick, 0, 0
+    robots, awake, moving, count = lane.robots, lane.awake, lane.moving, lane.count[0]
+    tick, n_woken, n, n_moving = count.tick, 0, 0, 0
     for r in range(lane.wakes.shape[0]):
-        if lane.wakes[r] <= tick:
-            robot = robots[r]
-            if tick >= robot.decided + rules.patience:
-                robot.due = 1
-            if robot.half < 0 or robot.due == 1:
-                lane.awake[np.uint32(n)] = r
-                n += 1
-            else:
-                lane.moving[np.uint32(n_moving)] = r
-                n_moving += 1
+        awake[np.uint64(n_woken)] = r
+        n_woken += lane.wakes[r] <= tick
+    for i in range(n_woken):
+        r = awake[i]
+        robot = robots[r]
+        robot.due |= tick >= robot.decided + rules.patience
+        decides = (robot.half < 0) | (robot.due == 1)
+        awake[np.uint64(n)] = r
+        moving[np.uint64(n_moving)] = r
+        n += decides
+        n_moving += not decides
     count.awake = n
     count.moving = n_moving
 
@@ -186,10 +188,10 @@ def draw_by_weight(lane, row, u):
 def draw_output(learner, lane, r):
     """Let robot r draw an output for its input (rule 20), or take the one that is given; book it."""
     robot, key = lane.robots[r], lane.count[0].key
-    if learner.rows[np.uint32(robot.seen)] < 0:
+    if learner.rows[np.uint64(robot.seen)] < 0:
         lane.count[0].outside = robot.seen + 1
         return
-    row, out = np.uint32(learner.rows[np.uint32(robot.seen)]), lane.given[r]
+    row, out = np.uint32(learner.rows[np.uint64(robot.seen)]), lane.given[r]
     if out < 0:
         u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
         if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
@@ -219,10 +221,10 @@ def wake_teams(lane):
         robot = robots[r]
         robot.due = teams[robot.team].due
         if robot.due == 1 or (robot.half < 0 and lane.wakes[r] <= count.tick):
-            lane.awake[np.uint32(n)] = r
+            lane.awake[np.uint64(n)] = r
             n += 1
         elif lane.wakes[r] <= count.tick:
-            lane.moving[np.uint32(n_moving)] = r
+            lane.moving[np.uint64(n_moving)] = r
             n_moving += 1
     count.awake = n
     count.moving = n_moving
@@ -316,10 +318,10 @@ def open_edges(world, rules, lane, r):
         if edge == came:
             continue
         if prefers_new and not _knows(lane, r, edge):  # the first one displaces those that are known
-            is_open[np.uint32(n_new)] = half
+            is_open[np.uint64(n_new)] = half
             n_new += 1
         elif n_new == 0:
-            is_open[np.uint32(n)] = half
+            is_open[np.uint64(n)] = half
             n += 1
     return n_new if n_new > 0 else n
 
@@ -358,7 +360,7 @@ def draw_edge(world, rules, learner, lane, r, n_open):
     j = 0
     while target >= share[j]:  # it is less than the last sum, which is about 1
         j += 1
-    return is_open[np.uint32(j)]
+    return is_open[np.uint64(j)]
 
 
 @inline
@@ -520,7 +522,7 @@ def _speed(world, learner, lane, r):
 def arrive(world, lane, r):
     """Take a robot in at the end of its corridor (rules 2 and 12)."""
     robot, count = lane.robots[r], lane.count[0]
-    half = world.halves[np.uint32(robot.half)]
+    half = world.halves[np.uint64(robot.half)]
     robot.node = half.to
     robot.came = half.edge
     robot.half = -1
@@ -557,14 +559,14 @@ def move(world, learner, lane):
             robot.passed = _speed(world, learner, lane, r)
             robot.planned = tick
             put_in(lane, r, n_nodes + robot.half)
-            if robot.passed >= world.halves[np.uint32(robot.half)].cost_mm:  # the corridor is so short
+            if robot.passed >= world.halves[np.uint64(robot.half)].cost_mm:  # the corridor is so short
                 robot.arrives = tick
-                lane.moving[np.uint32(n_moving)] = r
+                lane.moving[np.uint64(n_moving)] = r
                 n_moving += 1
         elif robot.half < 0:
             touch(lane, robot.node)
         else:
-            lane.moving[np.uint32(n_moving)] = r
+            lane.moving[np.uint64(n_moving)] = r
             n_moving += 1
         # what was decided in mid-corridor takes effect from the next step on
         robot.force = robot.out
@@ -785,7 +787,7 @@ def plan(world, rules, learner, lane, r):
         if learner.outputs[robot.force].mv == 1:
             pace = _speed(world, learner, lane, r)
             robot.pace = pace
-            way = np.uint64(world.halves[np.uint32(robot.half)].cost_mm - robot.passed + pace - 1)
+            way = np.uint64(world.halves[np.uint64(robot.half)].cost_mm - robot.passed + pace - 1)
             robot.arrives = tick + np.int64(way // np.uint64(pace))
             wakes = min(wakes, robot.arrives)
     elif robot.due == 0:
@@ -804,7 +806,7 @@ def foresee_meetings(lane, first):
     r = first
     while r >= 0:
         robot = lane.robots[r]
-        wakes, pace = lane.wakes[np.uint32(r)], robot.pace
+        wakes, pace = lane.wakes[np.uint64(r)], robot.pace
         known = False
         for c in range(n_classes):
             gap, faster = classes[c, 0] - robot.passed, pace - classes[c, 1]
@@ -821,7 +823,7 @@ def foresee_meetings(lane, first):
             n_classes += 1
         elif not known:
             wakes = tick + 1
-        lane.wakes[np.uint32(r)] = wakes
+        lane.wakes[np.uint64(r)] = wakes
         r = robot.after
 
 

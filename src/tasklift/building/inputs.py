@@ -57,7 +57,10 @@ def numbers_of(sensors: tuple[Sensor, ...], kinds: list[Kind]) -> list[list[floa
 def _written(sensors: tuple[Sensor, ...]) -> ModuleType:
     """Return the module of the kernel for some sensors, from the cache's file or newly written."""
     functions, terms, at = {}, [], 0
-    for i, sensor in enumerate(sensors):
+    first = len(TABLE_I) if sensors[: len(TABLE_I)] == chosen_inputs(TABLE_I) else 0
+    if first:  # the kernel knows these already, as one number
+        terms = [f"lane.robots[r].row * {math.prod(len(sensor.variable) for sensor in sensors[first:])}"]
+    for i, sensor in enumerate(sensors[first:], first):
         functions[f"read_{i}"] = _compiled_alone(sensor)
         size, stride = len(sensor.variable), math.prod(len(later.variable) for later in sensors[i + 1 :])
         given = f"world.numbers[world.members[r].kind, {at}:{at + len(sensor.numbers)}]"

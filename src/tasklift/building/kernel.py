@@ -422,7 +422,7 @@ def leave(world, rules, learner, lane):
         r = lane.awake[i]
         robot = robots[r]
         robot.crossing = 0
-        if robot.half >= 0 or sites[robot.node].unsearched > 0 or not _moves(learner, robot):
+        if (robot.half >= 0) | (sites[robot.node].unsearched > 0) | (not _moves(learner, robot)):
             continue
         half = choose_edge(world, rules, learner, lane, r)
         robot.next = half
@@ -514,8 +514,8 @@ def _speed(world, learner, lane, r):
     """Return how far a robot comes in a step in which it moves (mm): rules 2 and 15."""
     robot, member = lane.robots[r], world.members[r]
     team = lane.teams[robot.team]
-    keeps = member.armed == 0 and learner.outputs[robot.force].wpn == 1
-    return team.slowest if keeps and team.armed > 0 and team.slowest < member.speed_mm else member.speed_mm
+    keeps = (member.armed == 0) & (learner.outputs[robot.force].wpn == 1) & (team.armed > 0)
+    return team.slowest if keeps & (team.slowest < member.speed_mm) else member.speed_mm
 
 
 @inline

@@ -46,9 +46,8 @@ def weapon_robots(world, rules, lane, r, numbers):
 def feature_faced(world, rules, lane, r, numbers):
     """FTR: the class of the unresolved feature at which the robot is."""
     robot = lane.robots[r]
-    if robot.half < 0 and lane.sites[robot.node].resolved == 0:
-        return world.nodes[robot.node].feature - 1
-    return 0
+    unresolved = (robot.half < 0) & (lane.sites[robot.node].resolved == 0)
+    return (world.nodes[robot.node].feature - 1) * unresolved
 
 
 @inline

@@ -366,10 +366,10 @@ def draw_edge(world, rules, learner, lane, r, n_open):
 @inline
 def _among(halves, first, n, half):
     """Return whether a half-edge is among ``n`` of a list, from ``first`` on."""
+    found = False
     for k in range(first, first + n):
-        if halves[k] == half:
-            return True
-    return False
+        found |= halves[k] == half
+    return found
 
 
 @inline
@@ -642,7 +642,7 @@ def search(lane):
 
 @inline
 def team_at(slots, tick, place, passed, fresh):
-    """Return the number of the team at a place that has come as far; the first one there founds team ``fresh`` (rule 4)."""
+    """Return the number of the team at a place and as far along it; the first one founds team ``fresh`` (rule 4)."""
     mask = np.uint32(slots.shape[0] - 1)
     address = (np.uint64(place) * FIRST + np.uint64(passed)) * GOLDEN
     at = np.uint32(address >> np.uint64(32)) & mask

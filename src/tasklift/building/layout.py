@@ -24,8 +24,9 @@ OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
 ROBOT = _record(
     alive="i8", node="u4", half="i8", next="i8", came="i8", passed="i8", pace="i8",  # half, next, came: -1 for none
     due="i8", decided="i8", row="i8", pair_row="u4", out="u4", force="u4", repelled="i8", crossing="i8",
-    dl="i8", alert="i8", alarmed="i8", team="u4", decisions="i8", choices="i8",
-    planned="i8", arrives="i8", died="i8", stopping="i8", listens="i8", after="i8", before="i8",  # ticks: decided, planned, arrives, died
+    dl="i8", alert="i8", alarmed="i8", team="u4", decisions="i8", choices="i8",  # alarmed: what DL and GL add to `row`
+    planned="i8", arrives="i8", died="i8",  # like decided ticks; `passed` mm of the corridor lay behind it at `planned`
+    stopping="i8", listens="i8", after="i8", before="i8",
     seen="i8", arrived="i8",  # its row of the mission's table at its last decision; the step in which it came to `node`
 )  # fmt: skip
 SITE = _record(
@@ -36,9 +37,9 @@ PLACE = _record(first="i8", touched="i8")  # a node, or N + a half-edge; the fir
 TEAM = _record(lead="u4", size="i8", armed="i8", slowest="i8", due="i8", learned="i8")
 SLOT = _record(tick="i8", place="i8", passed="i8", team="u4")
 COUNT = _record(
-    step="i8", alive="i8", awake="i8", moving="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8", rooms_open="i8",
-    hostiles_left="i8", losses="i8", cleared="i8", messages="i8", used="i8", tick="i8", robot_steps="i8", arrivals="i8", outside="i8",
-    key="u8",
+    step="i8", alive="i8", awake="i8", moving="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8",
+    rooms_open="i8", hostiles_left="i8", losses="i8", cleared="i8", messages="i8", used="i8", tick="i8",
+    robot_steps="i8", arrivals="i8", outside="i8", key="u8",
 )  # fmt: skip
 PAY = _record(progress="f8", loss="f8", success="f8", signal="f8", team_share="f8")  # what a steered simulation rewards
 

@@ -84,7 +84,8 @@ class Picture:
         """Draw the first mission of a batch as it is now; pixels uint8 (height, width, 3), None in a window."""
         robots, sites = batch.lanes.robots[0], batch.lanes.sites[0]
         half = np.maximum(robots["half"], 0)
-        share = np.where(robots["half"] >= 0, progress_mm(robots, batch.lanes.count["tick"][0, 0]) / self._cost[half], 0.0)[:, None]
+        along = progress_mm(robots, batch.lanes.count["tick"][0, 0])
+        share = np.where(robots["half"] >= 0, along / self._cost[half], 0.0)[:, None]
         here = self._at[robots["node"]]
         places = here + share * (self._at[self._to[half]] - here)
         # robots at one place stand around it

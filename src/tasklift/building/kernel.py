@@ -358,7 +358,7 @@ def draw_edge(world, rules, learner, lane, r, n_open):
     target = uniform(lane.count[0].key, r, EDGE_DRAW, robot.choices) * running
     robot.choices += 1
     j = 0
-    while target >= share[j]:  # it is less than the last sum, which is about 1
+    while j < n_open - 1 and target >= share[j]:
         j += 1
     return is_open[np.uint64(j)]
 

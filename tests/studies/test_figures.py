@@ -46,14 +46,15 @@ def drawn_shares(building, node, goal, ca, sharpness, closed=()):
     robot["node"], robot["dl"], robot["alert"] = node, 2, goal
     robot["force"] = task.output_index({"MV": 1, "WPN": 0, "CA": ca})
     degree = int(building.degree[node])
-    lane.open[:degree] = [way not in closed for way in range(degree)]
+    ways = [way for way in range(degree) if way not in closed]
+    lane.open[: len(ways)] = building.indptr[node] + np.array(ways)
     counts = np.zeros(degree, np.int64)
     draw_many(
         simulator.world,
         simulator.rules,
         simulator.learner(task, Reinforcement()),
         lane,
-        degree - len(closed),
+        len(ways),
         counts,
     )
     return counts

@@ -390,6 +390,13 @@ def test_a_stage_in_which_nothing_can_be_learned_is_refused(world, learner) -> N
         Curriculum([Stage("only", world.task, world, learner, trials=trials)]).check()
 
 
+@pytest.mark.parametrize("learner", [{}, {"learner": None}, {"learner": "q"}, {"learner": ValueLearning}])
+def test_a_stage_without_a_learner_says_which_there_are(learner) -> None:
+    stage = Stage("only", Ring().task, Ring(), trials=20, **learner)
+    with pytest.raises(TaskliftError, match=r"stage 'only': expected a learner.*ValueLearning\(\) learns from"):
+        Curriculum([stage]).run()
+
+
 @pytest.mark.parametrize(("world", "learner"), [
     (Ring(), Reinforcement(loss_signal=-1.0)), (free(random_model(0)), ValueLearning(loss_penalty=1.0)),
     (free(random_model(0)), ValueLearning(initial_value=1.0)),

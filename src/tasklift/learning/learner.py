@@ -21,6 +21,7 @@ from tasklift.learning.chances import TARGET_STAGE, Chances
 from tasklift.learning.worlds import Outcomes, Record, Steps, Trials, joined
 from tasklift.tasks.policy import Policy
 from tasklift.tasks.task import Task
+from tasklift.text import shown
 
 MOST_TRIALS = 10_000_000
 """In a run: what came of them is in memory at the end."""
@@ -285,7 +286,12 @@ def divisible(learner: Learner) -> bool:
 
 
 def check(learner: Learner, world: Trials | Steps, task: Task, run: Run) -> None:
-    """Let a learner that has a ``check`` refuse what it cannot learn, before anything is trained."""
+    """Refuse what is no learner, and let one that has a ``check`` refuse what it cannot learn, before training."""
+    if isinstance(learner, type) or not all(callable(getattr(learner, name, None)) for name in ("start", "learn")):
+        raise TaskliftError(
+            f"expected a learner, with start() and learn(), found {shown(learner)}; "
+            "ValueLearning() learns from a world's rewards, Reinforcement() from a task's signals"
+        )
     refuse = getattr(learner, "check", None)
     if refuse is not None:
         refuse(world, task, run)

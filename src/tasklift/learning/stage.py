@@ -71,7 +71,7 @@ class Stage:
     name: str
     task: Task
     world: Trials | Steps
-    learner: Learner
+    learner: Learner = None  # type: ignore[assignment]  # check() says which there are
     trials: int | None = None
     steps: int | None = None
     prior: Sequence[Prior] = ()

@@ -286,7 +286,7 @@ def divisible(learner: Learner) -> bool:
 
 
 def check(learner: Learner, world: Trials | Steps, task: Task, run: Run) -> None:
-    """Refuse what is no learner, and let one that has a ``check`` refuse what it cannot learn, before training."""
+    """Refuse anything but a learner, and let one that has a ``check`` refuse what it cannot learn, before training."""
     if isinstance(learner, type) or not all(callable(getattr(learner, name, None)) for name in ("start", "learn")):
         raise TaskliftError(
             f"expected a learner, with start() and learn(), found {shown(learner)}; "

@@ -403,7 +403,7 @@ def test_a_loss_that_is_no_count_is_refused_where_it_comes(bad) -> None:
 
 
 def gives(**answers) -> Factored:
-    """An environment whose ``reset`` or ``step`` gives what it is told to."""
+    """Return a world whose ``reset`` or ``step`` returns the given answer."""
     env = Scripted(DISCRETE(1), DISCRETE(1))
     for call, answer in answers.items():
         setattr(env, call, lambda *a, answer=answer, **k: answer)

@@ -177,7 +177,7 @@ def started() -> FactoredTeam:
 
 
 def gives(**answers: Any) -> None:
-    """Play where ``reset`` or ``step`` gives what it is told to."""
+    """Play a world whose ``reset`` or ``step`` returns the given answer."""
     env = Line()
     for call, answer in answers.items():
         real = getattr(env, call)

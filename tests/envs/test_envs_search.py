@@ -169,7 +169,7 @@ def other_policies(task) -> dict[str, tuple[np.ndarray, float]]:
 
 
 def played(outputs: np.ndarray, share: float, missions: int = 30) -> tuple[float, float]:
-    """Return a policy's mean return and score (see PolicySearch) over the first episodes of so many missions."""
+    """Return a policy's mean return and mean score (see PolicySearch), over one episode of each mission."""
     env = tl.make("tasklift/Search-v0", api="vector", missions=missions, observe="values", act="flat")
     sizes, limit, n_robots = [len(v) for v in env.mission.task.inputs], env.mission.limit, env.mission.n_robots
     rng, seen = np.random.default_rng(0), env.reset(seed=0)[0]

@@ -137,7 +137,7 @@ class Adapter:
             ) from error
 
     def need_spaces(self, observations: Any, actions: Any) -> None:
-        """Refuse an environment whose spaces are no longer those that were declared."""
+        """Refuse an environment that has changed its spaces since the world was declared."""
         if (observations, actions) != self.spaces:
             raise TaskliftError(
                 f"{self.name}: the environment changed its spaces, from {self.spaces[0]} and {self.spaces[1]} to "

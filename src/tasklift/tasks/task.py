@@ -122,7 +122,7 @@ class Task:
         if self.parent is None:
             if self.fixed or self.removed or self.merged:
                 raise TaskliftError(
-                    f"{where}: expected a parent task, since variables are fixed, removed or merged; there is no parent"
+                    f"{where}: expected a parent task, since variables are fixed, removed or merged, found none"
                 )
             return
         ours = {v.name: v for v in self.variables}

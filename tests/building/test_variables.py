@@ -187,3 +187,14 @@ def test_kernels_are_kept_where_there_are_no_user_ids(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.delattr(os, "getuid")
     assert kernel_for((waited(7, 9),)).__file__.startswith(str(tmp_path / "tasklift"))
+
+
+def unknown_field(world, rules, lane, r, numbers):
+    return lane.robots[r].progress
+
+
+def test_a_sensor_that_reads_an_unknown_field_is_refused_in_one_line():
+    own = Sensor(Variable("OWN", (0, 1)), unknown_field)
+    mission = Mission(generate(seed=7), "10+5", inputs=[*TABLE_I, own])
+    with pytest.raises(TaskliftError, match="inputs: OWN cannot be compiled: unknown field 'progress'"):
+        mission.evaluate(Policy.equal(mission.task), 1)

@@ -187,9 +187,10 @@ def compiling(sensors: tuple[Sensor, ...]) -> Iterator[None]:
 
     try:
         yield
-    except NumbaError as error:
+    except (NumbaError, KeyError) as error:  # a KeyError is Numba's for a record's unknown field
         own = ", ".join(sensor.name for sensor in sensors if not isinstance(sensor.read, str))
-        raise TaskliftError(f"inputs: {own or 'a sensor'} cannot be compiled: {_reason(error)}") from error
+        reason = f"unknown field {error}" if isinstance(error, KeyError) else _reason(error)
+        raise TaskliftError(f"inputs: {own or 'a sensor'} cannot be compiled: {reason}") from error
 
 
 def _reason(error: Exception) -> str:

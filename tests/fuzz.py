@@ -27,7 +27,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, about
 
 LONGEST_LINE, LONGEST_S, LARGEST_B = 300, 5.0, 1_000_000_000
 
@@ -316,10 +316,8 @@ def _read_spec(path: Path) -> Any:
     if not beside.exists():
         generate(intersections=4, corridors=4, rooms=2, seed=1).save(beside)
     document = read_spec(path)
-    try:
+    with about(path):  # as run_spec says it
         return curriculum_of(document, path.parent)
-    except TaskliftError as error:  # as run_spec says it
-        raise TaskliftError(f"{path}: {error}") from error
 
 
 def _use_spec(curriculum: Any, path: Path) -> None:
@@ -332,6 +330,72 @@ def _use_spec(curriculum: Any, path: Path) -> None:
     if small:
         with suppress(TaskliftError):  # a world that is not what the task assumes is found when it is met
             curriculum.run(0)
+
+
+def _read_arm(path: Path) -> Any:
+    """Read a spec as ``train --curriculum`` does: the building takes the place of its environment."""
+    from tasklift.studies.arms import Setup
+    from tasklift.studies.spec_file import arm_of
+
+    return arm_of(path).curriculum(Setup(_mission(), trials=2, repeats=1))
+
+
+def _missions() -> dict[str, bytes]:
+    mission = {
+        "team": [{"kind": "bee", "robots": 2, "speed_mm": 700, "armed": True, "attributes": {"detector_range_m": 20}}],
+        "weapons_needed": 2,
+        "limit": 60,
+        "inputs": ["DL", "GL", "nWPN", "FTR", "WAITED", {"sensor": "detector", "range_m": 12, "miss": 0.1}],
+        "outputs": ["MV", "WPN", "CA", "BACK"],
+    }
+    return {"bees.json": json.dumps(mission).encode(), "few.toml": b'team = "2+2"\nweapons_needed = 2\nlimit = 60\n'}
+
+
+def _read_mission(path: Path) -> Any:
+    from tasklift.studies.mission_file import declared
+
+    return declared(path)
+
+
+def _use_mission(terms: Any, path: Path) -> None:
+    assert _mission(hostiles=0, **terms).task.shape[0] >= 1
+
+
+def _mission(**terms: Any) -> Any:
+    from tasklift.building import Mission, generate
+
+    return Mission(generate(intersections=4, corridors=4, rooms=2, seed=1), **{"team": "2+2"} | terms)
+
+
+def _certificates() -> dict[str, bytes]:
+    from tasklift.studies.certify import certify
+    from tasklift.tasks.policy import Policy
+
+    mission = _mission()
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "policy.json"
+        Policy.equal(mission.task).save(made)
+        mission.building.save(Path(folder) / "building.json")
+        certificate = certify(made, team="2+2", limit=20, episodes=4).path
+        return {file.name: file.read_bytes() for file in (certificate,)}
+
+
+def _read_certificate(path: Path) -> Any:
+    from tasklift.studies.certify import verify
+    from tasklift.tasks.policy import Policy
+
+    mission = _mission()
+    for thing, name in ((Policy.equal(mission.task), "policy.json"), (mission.building, "building.json")):
+        if not (path.parent / name).exists():
+            thing.save(path.parent / name)
+    return verify(path)
+
+
+def _few_episodes(document: Any) -> Any:
+    """Keep a mutated number of episodes from being played: a million of them is no fault."""
+    if isinstance(document, dict) and document.get("episodes") not in (0, -1, None):
+        document["episodes"] = 4
+    return document
 
 
 def _simplify_specs() -> dict[str, bytes]:
@@ -663,6 +727,9 @@ READERS = {
     "policy": Reader(_policies, _read_policy, _use_policy, _without_checksum),
     "building": Reader(_buildings, _read_building, _use_building),
     "spec": Reader(_specs, _read_spec, _use_spec),
+    "curriculum": Reader(_specs, _read_arm),
+    "mission": Reader(_missions, _read_mission, _use_mission),
+    "certificate": Reader(_certificates, _read_certificate, tidy=_few_episodes),
     "simplify": Reader(_simplify_specs, _read_simplify, _use_simplify),
     "weights": Reader(_weights, _read_weights, _use_weights),
     "edits": Reader(_edits, _read_edits, _use_edits),

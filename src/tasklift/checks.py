@@ -134,6 +134,13 @@ def _check_text(text: str, where: str) -> None:
         raise TaskliftError(f"{where}: a text holds {kind} ({shown(found[0])}): {shown(text)}")
 
 
+#: The types that fields have, in words that JSON, TOML and YAML share.
+_SPELLED: dict[Any, str] = {
+    None: "null", str: "text", int: "a whole number", float: "a number", bool: "true or false", list: "a list",
+    tuple: "a list", dict: "an object (table)", Mapping: "an object (table)",
+}  # fmt: skip
+
+
 def check_fields(value: Any, where: str, kinds: Mapping[str, Any]) -> dict[str, Any]:
     """Return ``value`` if it is an object with exactly these fields, each of a type it may have.
 
@@ -168,6 +175,7 @@ def check_fields(value: Any, where: str, kinds: Mapping[str, Any]) -> dict[str, 
         else:
             fits = isinstance(found, tuple(kind for kind in types if kind is not None))
         if not fits:
-            wanted = " or ".join("null" if kind is None else kind.__name__ for kind in types)
-            raise TaskliftError(f"{where}: expected {wanted} in the field {key!r}, found {shown(found)}")
+            asked = [kind for kind in types if kind is not int or float not in types]
+            wanted = dict.fromkeys(_SPELLED.get(kind) or kind.__name__ for kind in asked)
+            raise TaskliftError(f"{where}: expected {' or '.join(wanted)} in the field {key!r}, found {shown(found)}")
     return value

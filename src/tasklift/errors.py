@@ -1,5 +1,11 @@
 """The one error that means: the user can mend this."""
 
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from tasklift.text import one_line
 
 
@@ -13,6 +19,15 @@ class TaskliftError(ValueError):
 
     def __init__(self, message: object) -> None:
         super().__init__(one_line(message))
+
+
+@contextmanager
+def about(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Put the name of the file that is wrong before the errors of the block."""
+    try:
+        yield
+    except TaskliftError as error:
+        raise TaskliftError(f"{path}: {error}") from error
 
 
 def missing(package: str, extra: str, needed_by: str = "this") -> TaskliftError:

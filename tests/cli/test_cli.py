@@ -363,7 +363,9 @@ def test_options_come_from_a_file_and_the_command_line_goes_before_it(tasklift, 
     for text, says in (
         ("seed = 3\n", "unknown option 'seed'"),
         ("seeds = {a = 1}\n", "expected a value or a list"),
-        ("seeds = 0\n", "--seeds"),
+        ("seeds = 0\n", "mine.toml, seeds: 0 is not in the range"),
+        ("arms = true\n", "arm 'True' is unknown"),
+        ("json = 3\n", "mine.toml, json: "),
         ("seeds = ", "mine.toml"),
     ):
         Path("mine.toml").write_text(text)

@@ -172,7 +172,7 @@ def test_a_certificate_on_unseen_buildings_is_recomputed(files: Path) -> None:
         (lambda d: d["place"].update(file="nowhere.json"), "cannot be read"),
         (lambda d: d.update(place={"rooms": 3}), "is not as a certificate has it"),
         (lambda d: d["ground"].pop("mission"), "is not as a certificate has it"),
-        (lambda d: d["ground"]["mission"].update(team=[[1]]), "mission, team: expected an object with fields"),
+        (lambda d: d["ground"]["mission"].update(team=[[1]]), "mission: team: expected an object with fields"),
         (lambda d: d.update(confidence=1.5), "above 0 and below 1"),
         (lambda d: d.update(episodes=0), "whole number from 1"),
     ],

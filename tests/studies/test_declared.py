@@ -209,8 +209,10 @@ def test_what_cannot_be_done_with_a_selection_is_refused_before_anything_is_comp
         ("hostiles = 2", "unknown field 'hostiles'"),
         ('team = [{ kind = "bee", robots = 3 }]', "kind 'bee', speed_mm .*found None"),
         ('team = [{ kind = "scout", robots = 3 }, { kind = "scout", robots = 1 }]', "the kind 'scout' is there twice"),
-        ('team = [{ kind = "weapon", robots = 2, speed_mm = 0.5 }]', "expected int in the field 'speed_mm'"),
+        ('team = [{ kind = "weapon", robots = 2, speed_mm = 0.5 }]', "expected a whole number in the field 'speed_mm'"),
         ("team = [3]", "team: expected an object"),
+        ("limit = 0", "limit: expected a whole number from 1"),
+        ("weapons_needed = 0", "weapons_needed: expected a whole number from 1"),
     ],
 )  # fmt: skip
 def test_a_bad_file_is_one_line_that_names_it(text: str, message: str, tmp_path: Path):

@@ -138,6 +138,15 @@ def test_mistakes_are_refused_before_anything_is_trained(tmp_path: Path, change:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("seed", ['"x"', "[]", "-1", "0.5"])
+def test_a_seed_of_buildings_that_is_no_number_is_refused(tmp_path: Path, seed: str) -> None:
+    text = (EXAMPLES / "simplify-mission.toml").read_text()
+    assert "seed = 7 }" in text
+    (tmp_path / "spec.toml").write_text(text.replace("seed = 7 }", f"seed = {seed} }}"))
+    with pytest.raises(TaskliftError, match=r"spec\.toml: environment, building, seed: expected a whole number"):
+        study_of(tmp_path / "spec.toml")
+
+
 def test_a_file_that_is_no_spec_is_named_once(tmp_path: Path) -> None:
     (tmp_path / "notes.md").write_text("# no spec")
     with pytest.raises(TaskliftError) as refused:

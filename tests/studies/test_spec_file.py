@@ -345,7 +345,7 @@ def changed(old: str, new: str, example: str = "cliff.toml") -> str:
         (changed("trials = 300", "trials = 300\nfix = { rwo = 1 }"), "no variable 'rwo'"),
         (changed("trials = 300", "trials = 300\nguard = { share = 2 }"), "guard, share"),
         (changed("trials = 300", "trials = 300\nguard = { shar = 2 }"), "guard: unknown field 'shar'"),
-        (changed('"V"', '"V"\ntrials = "5"', "building.toml"), "expected int in the field 'trials'"),
+        (changed('"V"', '"V"\ntrials = "5"', "building.toml"), "expected a whole number in the field 'trials'"),
         (changed('operation = "swap"', 'operation = "swop"', "building.toml"), "expected one of swap, forget"),
         (changed('output = "MV"', "", "building.toml"), "prior swap: .*output"),
         (changed("FTR = 4", "FTR = 9", "building.toml"), "stage 'T': .*'FTR' has no value 9"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -14,19 +13,11 @@ from tasklift.building.reading import Reading
 from tasklift.building.search import hostile_candidates, search_and_clear
 from tasklift.building.team import Kind
 from tasklift.building.terms import parse_terms
-from tasklift.building.variables import (
-    LARGEST_ROWS,
-    TABLE_I,
-    TABLE_I_OUTPUTS,
-    Sensor,
-)
+from tasklift.building.variables import TABLE_I, TABLE_I_OUTPUTS, Sensor
 from tasklift.checks import whole_number
 from tasklift.errors import TaskliftError
 from tasklift.tasks.task import Task
 from tasklift.text import one_line, shown
-
-#: The largest step limit: draws are numbered with 32 bits.
-LARGEST_LIMIT = 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,15 +64,10 @@ class Setting:
         if not isinstance(self.reading, Reading):
             raise TaskliftError(f"mission: expected a Reading, found {shown(self.reading)}")
         parse_terms(self)
-        whole_number(self.weapons_needed, "weapons_needed", 1, LARGEST_LIMIT)
-        whole_number(self.limit, "limit", 1, LARGEST_LIMIT)
-        rows = math.prod(len(sensor.variable) for sensor in self.inputs)
-        if rows > LARGEST_ROWS:
-            raise TaskliftError(f"inputs: a table of {rows:,} rows is more than the {LARGEST_ROWS:,} that are built")
         self._check_hostiles()
 
     def _check_hostiles(self) -> None:
-        if isinstance(self.hostiles, list | tuple | np.ndarray) and np.ndim(self.hostiles):
+        if isinstance(self.hostiles, list | tuple) or (isinstance(self.hostiles, np.ndarray) and self.hostiles.ndim):
             for node in self.hostiles:
                 whole_number(node, "hostiles, node", 0, self.building.n_nodes - 1)
                 if self.building.kind[node] != FEATURE:

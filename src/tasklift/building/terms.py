@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -23,7 +24,7 @@ from tasklift.building.variables import (
     goal_distance,
     waited,
 )
-from tasklift.checks import check_fields, one_of
+from tasklift.checks import check_fields, one_of, whole_number
 from tasklift.errors import TaskliftError
 from tasklift.files import read_bytes
 from tasklift.tasks.variable import Variable
@@ -40,9 +41,15 @@ FIELDS: dict[str, Any] = {
 SENSORS: dict[str, Callable[..., Sensor]] = {
     "waited": waited, "goal_distance": goal_distance, "detector": detector
 }  # fmt: skip
+#: The largest step limit: draws are numbered with 32 bits.
+LARGEST_LIMIT = 10**9
 _PARSED: dict[str, Callable[[Any], Any]] = {
-    "team": parse_team, "inputs": chosen_inputs, "outputs": chosen_outputs
-}  # fmt: skip
+    "team": parse_team,
+    "weapons_needed": partial(whole_number, what="weapons_needed", least=1, most=LARGEST_LIMIT),
+    "limit": partial(whole_number, what="limit", least=1, most=LARGEST_LIMIT),
+    "inputs": chosen_inputs,
+    "outputs": chosen_outputs,
+}
 
 #: Finds ``module:name`` for a document; the second argument says where it is named.
 Own = Callable[[str, str], Any]
@@ -54,12 +61,12 @@ def terms_of(declares: Any) -> dict[str, Any]:
 
 
 def parse_terms(declares: Any) -> None:
-    """Put checked values in place of the team, inputs and outputs that a frozen record was given.
+    """Put checked values in place of the terms that a frozen record was given.
 
     Raises
     ------
     TaskliftError
-        For a team that cannot be read, and for inputs and outputs that cannot be chosen.
+        For a team that cannot be read, numbers out of range, and inputs and outputs that cannot be chosen.
     """
     for name, parse in _PARSED.items():
         object.__setattr__(declares, name, parse(getattr(declares, name)))
@@ -97,15 +104,14 @@ def terms_from_json(data: Mapping[str, Any], where: str, own: Own) -> dict[str, 
     Raises
     ------
     TaskliftError
-        For what is not a term, and for a sensor of one's own that is not there or is another one.
+        For what is not a term or has a value that a mission cannot have, and for a sensor of one's own that is not
+        there or is another one.
     """
     found = check_fields(dict(data), where, FIELDS)
-    if "team" in found:
-        found["team"] = parse_team(found["team"], f"{where}, team")
     if "inputs" in found:
         found["inputs"] = [_sensor(given, f"{where}, inputs", own) for given in found["inputs"]]
     try:
-        return found | {name: _PARSED[name](found[name]) for name in ("inputs", "outputs") if name in found}
+        return {name: _PARSED[name](value) for name, value in found.items()}
     except TaskliftError as error:
         raise TaskliftError(f"{where}: {error}") from error
 

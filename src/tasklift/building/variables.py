@@ -7,6 +7,7 @@ of the paper is the default. A sensor of your own is a :class:`Sensor` with a fu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -174,7 +175,7 @@ TABLE_I_OUTPUTS = ("MV", "WPN", "CA")
 
 
 def chosen_inputs(inputs: Any) -> tuple[Sensor, ...]:
-    """Return the sensors that are named or given, in order; refuse unknown and doubled ones."""
+    """Return the sensors that are named or given, in order; refuse unknown and doubled ones, and too many."""
     if isinstance(inputs, str) or not isinstance(inputs, Sequence):
         raise TaskliftError(f"inputs: expected names of variables or Sensors, found {shown(inputs)}")
     found: list[Sensor] = []
@@ -188,6 +189,9 @@ def chosen_inputs(inputs: Any) -> tuple[Sensor, ...]:
         raise TaskliftError(f"inputs: expected each variable once, found {shown(names)}")
     if len(found) > LARGEST_SENSORS:
         raise TaskliftError(f"inputs: expected at most {LARGEST_SENSORS}, found {len(found)}")
+    rows = math.prod(len(sensor.variable) for sensor in found)
+    if rows > LARGEST_ROWS:
+        raise TaskliftError(f"inputs: a table of {rows:,} rows is more than the {LARGEST_ROWS:,} that are built")
     return tuple(found)
 
 

@@ -73,25 +73,29 @@ def folder(default: str | None = None, help: str = "Folder for the report; the s
 
 
 def _defaults_from(context: click.Context, option: click.Parameter, file: Path | None) -> None:
-    """Take the defaults of a command's options from a TOML file."""
+    """Take the defaults of a command's options from a TOML file, spelled as on the command line."""
     if file is None:
         return
     from tasklift.errors import TaskliftError
     from tasklift.files import parse_toml, read_text
     from tasklift.text import shown
 
-    known = {parameter.name: parameter for parameter in context.command.params if parameter is not option}
+    known = {one.opts[-1].lstrip("-"): one for one in context.command.params if one is not option}
     found: dict[str, Any] = {}
-    for given_name, value in parse_toml(read_text(file), str(file)).items():
-        name = given_name.replace("-", "_")
-        if name not in known:
-            names = ", ".join(sorted(str(n).replace("_", "-") for n in known))
-            raise TaskliftError(f"{file}: unknown option {shown(given_name)}; the options are {names}")
-        several = isinstance(value, list)
-        if not all(isinstance(one, str | int | float) for one in (value if several else [value])):
-            raise TaskliftError(f"{file}, {given_name}: expected a value or a list of values, found {shown(value)}")
-        repeated = isinstance(known[name], click.Option) and getattr(known[name], "multiple", False)
-        found[name] = ",".join(map(str, value)) if several and not repeated else value
+    for name, value in parse_toml(read_text(file), str(file)).items():
+        if name.replace("_", "-") not in known:
+            raise TaskliftError(f"{file}: unknown option {shown(name)}; the options are {', '.join(sorted(known))}")
+        parameter = known[name.replace("_", "-")]
+        values = value if isinstance(value, list) else [value]
+        if not all(isinstance(one, str | int | float) for one in values):
+            raise TaskliftError(f"{file}, {name}: expected a value or a list of values, found {shown(value)}")
+        spelled = [str(one) for one in values]
+        given = spelled if isinstance(parameter, click.Option) and parameter.multiple else ",".join(spelled)
+        try:
+            parameter.type_cast_value(context, given)
+        except click.BadParameter as error:
+            raise TaskliftError(f"{file}, {name}: {error.message}") from error
+        found[parameter.name or ""] = given
     context.default_map = {**(context.default_map or {}), **found}
 
 

@@ -29,7 +29,7 @@ from tasklift.building.team import Kind, parse_team
 from tasklift.building.terms import parse_terms, terms_from_json, terms_of, terms_to_json
 from tasklift.building.variables import TABLE_I, TABLE_I_OUTPUTS, Sensor
 from tasklift.checks import check_fields, number, one_of, whole_number
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, about
 from tasklift.files import canonical_json, output_file, read_bytes, read_document, write_atomically
 from tasklift.lab import FILE_NAME, Store
 from tasklift.learning.chances import CERTIFY_STAGE
@@ -441,27 +441,28 @@ def verify(certificate: Path, progress: Progress | None = None) -> str:
     TaskliftError
         If a file is missing or another one, or a number differs; says which.
     """
-    document, where = read_document(certificate, FORMAT, 1), str(certificate)
+    document = read_document(certificate, FORMAT, 1)
     numbers = dict.fromkeys(("episodes", "seed"), int)
     shape = numbers | {"format": str, "version": int, "written_by": str, "says": str, "confidence": float}
     shape |= dict.fromkeys(("policy", "place", "ground", "counts", "bounds"), dict)
-    check_fields(document, where, shape)
-    policy = Policy.load(_found(document["policy"], certificate))
-    place: Building | Sizes
-    try:
-        if "file" in document["place"]:
-            place = load_building(_found(document["place"], certificate))
-        else:
-            place = Sizes(**document["place"])
-        ground = Ground.from_json(document["ground"], place, OwnCode(certificate.parent))
-    except (KeyError, TypeError, ValueError) as error:
-        raise TaskliftError(f"{where}: the place or the ground is not as a certificate has it ({error})") from error
-    counts = ground.play(policy, document["episodes"], document["seed"], progress)
-    bounds = Bounds.of(counts, ground.n_robots, document["confidence"])
-    says = statement(counts, bounds, document["confidence"], ground.unit)
-    for name, found in (("counts", asdict(counts)), ("bounds", asdict(bounds)), ("says", says)):
-        if document[name] != found:
-            raise TaskliftError(f"{where}: does not hold: its {name} are {document[name]}, recomputed {found}")
+    check_fields(document, str(certificate), shape)
+    with about(certificate):
+        policy = Policy.load(_found(document["policy"], certificate))
+        place: Building | Sizes
+        try:
+            if "file" in document["place"]:
+                place = load_building(_found(document["place"], certificate))
+            else:
+                place = Sizes(**document["place"])
+            ground = Ground.from_json(document["ground"], place, OwnCode(certificate.parent))
+        except (KeyError, TypeError, ValueError) as error:
+            raise TaskliftError(f"the place or the ground is not as a certificate has it ({error})") from error
+        counts = ground.play(policy, document["episodes"], document["seed"], progress)
+        bounds = Bounds.of(counts, ground.n_robots, document["confidence"])
+        says = statement(counts, bounds, document["confidence"], ground.unit)
+        for name, found in (("counts", asdict(counts)), ("bounds", asdict(bounds)), ("says", says)):
+            if document[name] != found:
+                raise TaskliftError(f"does not hold: its {name} are {document[name]}, recomputed {found}")
     return says
 
 
@@ -475,8 +476,8 @@ def _named(file: Path, beside: Path) -> dict[str, str]:
 
 def _found(named: dict[str, Any], certificate: Path) -> Path:
     """Return the path of a file that a certificate names, if its content is the same as then."""
-    check_fields(named, str(certificate), {"file": str, "sha256": str})
+    check_fields(named, "policy or place", {"file": str, "sha256": str})
     path = certificate.parent / named["file"]
     if hashlib.sha256(read_bytes(path)).hexdigest() != named["sha256"]:
-        raise TaskliftError(f"{path}: is not the file that {certificate} is about; its content differs")
+        raise TaskliftError(f"{path}: is not the file that this certificate is about; its content differs")
     return path

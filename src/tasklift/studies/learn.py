@@ -14,7 +14,7 @@ import numpy as np
 
 from tasklift.building import Mission
 from tasklift.checks import whole_number
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, about
 from tasklift.files import canonical_json, results_folder, write_atomically
 from tasklift.lab import FILE_NAME, Cell, CellResult, Progress, Spec, Store, run
 from tasklift.learning.compare import Comparison, judged, learn_directly
@@ -24,7 +24,7 @@ from tasklift.learning.ledger import Entry, Ledger
 from tasklift.learning.model import Model
 from tasklift.learning.worlds import Outcomes, StepOutcomes
 from tasklift.studies.own_code import OwnCode
-from tasklift.studies.spec_file import about, code_beside, curriculum_of, read_spec
+from tasklift.studies.spec_file import code_beside, curriculum_of, read_spec
 from tasklift.studies.study import MOST_SEEDS
 from tasklift.tasks.policy import Policy
 

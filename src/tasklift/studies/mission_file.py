@@ -22,9 +22,9 @@ from typing import Any
 
 from tasklift.building.mission import Mission
 from tasklift.building.terms import own_files, terms_from_json, terms_to_json
+from tasklift.errors import about
 from tasklift.files import canonical_json, parse_json, parse_toml, read_bytes, read_text, write_atomically
 from tasklift.studies.own_code import OwnCode
-from tasklift.studies.spec_file import about
 
 MISSION_FILE = "mission.json"
 

@@ -38,7 +38,6 @@ import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping, MutableMapping
-from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -48,7 +47,7 @@ from tasklift.building.search import hostile_candidates
 from tasklift.building.terms import FIELDS, TERMS, terms_from_json, terms_of
 from tasklift.checks import check_fields, one_of
 from tasklift.envs.gymnasium import Event, Factored, has_table, make_environment
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, about
 from tasklift.files import canonical_json, parse_json, parse_toml, read_text
 from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.guard import Guard
@@ -97,15 +96,6 @@ def read_spec(path: str | os.PathLike[str]) -> dict[str, Any]:
     if document.get("performance", "return") not in ("return", "steps", "success"):
         raise TaskliftError(f"{where}: performance is return, steps or success, found {document['performance']!r}")
     return document
-
-
-@contextmanager
-def about(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Put the name of the spec file before the errors of the block."""
-    try:
-        yield
-    except TaskliftError as error:
-        raise TaskliftError(f"{path}: {error}") from error
 
 
 def curriculum_of(
@@ -200,11 +190,18 @@ def arm_of(path: str | os.PathLike[str], *, allow_imports: bool = False) -> Arm:
     Raises
     ------
     TaskliftError
-        If the file cannot be read as a spec. What is wrong with a stage is found when a study is made.
+        If the file cannot be read as a spec. What is wrong with a stage is found when a study is made; the error
+        names the file.
     """
     slug = re.sub("[^a-z0-9]+", "-", Path(path).stem.lower()).strip("-")
     document = {name: value for name, value in read_spec(path).items() if name != "environment"}
-    return own_arm(f"own-{slug}" if slug else "own", document, Path(path).parent, allow_imports=allow_imports)
+    arm = own_arm(f"own-{slug}" if slug else "own", document, Path(path).parent, allow_imports=allow_imports)
+
+    def curriculum(on: Setup) -> Curriculum:
+        with about(path):
+            return arm.curriculum(on)
+
+    return replace(arm, curriculum=curriculum)
 
 
 def own_arm(slug: str, document: Mapping[str, Any], folder: Path, *, allow_imports: bool = False) -> Arm:

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tasklift import stats
+from tasklift.errors import about
 from tasklift.files import canonical_json, results_folder, write_atomically
 from tasklift.lab import FILE_NAME, Progress
 from tasklift.lab.runs import Table
 from tasklift.report import pictures
 from tasklift.studies.simplify.search import RUNGS, SCRATCH, Found, Measures, Raced, SimplifyStudy, study_of
 from tasklift.studies.simplify.space import Candidate, Step
-from tasklift.studies.spec_file import about
 from tasklift.style import GROUND
 
 if TYPE_CHECKING:

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from tasklift import stats
 from tasklift.building import Mission
 from tasklift.checks import check_fields, number, one_of, whole_number
-from tasklift.errors import TaskliftError
+from tasklift.errors import TaskliftError, about
 from tasklift.lab import Cell, CellResult, Progress, Spec, Store, run
 from tasklift.learning.curriculum import Curriculum
 from tasklift.learning.model import Model
 from tasklift.learning.worlds import StepOutcomes
 from tasklift.studies.own_code import OwnCode
 from tasklift.studies.simplify.space import Candidate, chains, joined, steps
-from tasklift.studies.spec_file import about, code_beside, curriculum_of, read_spec
+from tasklift.studies.spec_file import code_beside, curriculum_of, read_spec
 from tasklift.text import shown
 
 SCRATCH = "from scratch"
@@ -252,8 +252,8 @@ class SimplifyStudy:
         environment = document["environment"]
         if isinstance(environment.get("building"), Mapping):
             building = environment["building"]
-            own = {**building, "seed": building.get("seed", 0) + seed}
-            document["environment"] = {**environment, "building": own}
+            first = whole_number(building.get("seed", 0), "environment, building, seed")
+            document["environment"] = {**environment, "building": {**building, "seed": first + seed}}
         if getattr(_latest, "key", None) != (self, document["environment"]):
             _latest.key, _latest.worlds = (self, document["environment"]), {}
         return curriculum_of(document, self.folder, allow_imports=self.allow_imports, worlds=_latest.worlds)

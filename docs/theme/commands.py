@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import click
@@ -53,4 +54,5 @@ def _text(help_text: str) -> str:
 
 
 def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+    text = " ".join(text.split()).replace("<", "&lt;")
+    return re.sub(r"[|\[\]]", r"\\\g<0>", text)  # two brackets side by side would be a link

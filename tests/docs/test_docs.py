@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import re
+import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+import tasklift
 from tasklift.building.reading import Reading
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.studies.arms import PAPER
@@ -86,6 +90,23 @@ def test_links_between_pages_lead_somewhere():
         for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text()):
             there = GENERATED.match(target) or (page.parent / target).exists()
             assert there, f"{page.relative_to(ROOT)} links to {target}"
+
+
+def test_the_generated_pages_link_to_what_is_documented(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS / "theme"))
+    from commands import commands_page
+    from names import names_page
+
+    options = [line for line in commands_page().splitlines() if line.startswith("| `")]
+    assert options
+    assert not [line for line in options if re.search(r"(?<!\\)\[", line.split("` | ")[1])]
+    linked = re.findall(r"\]\[(tasklift[\w.]*)\.(\w+)\]", names_page())
+    constants = [(module, name) for module, name in linked if not callable(getattr(tasklift, name))]
+    assert constants
+    for module, name in constants:  # the reference has those with a docstring below them
+        body = ast.parse(Path(sys.modules[module].__file__).read_text()).body
+        below = next(after for before, after in pairwise(body) if ast.unparse(before).startswith(f"{name} = "))
+        assert isinstance(below, ast.Expr), f"{module}.{name} has no docstring"
 
 
 def test_every_decision_is_in_the_index_and_in_the_navigation():

@@ -117,7 +117,9 @@ class Reading:
         return cls(**document)
 
 
-#: The two frozen presets, always reported side by side.
 SCATTERED = Reading()
+"""The preset with every rule at its default: robots spread out over the building."""
 COHESIVE = Reading(split="team", engage="crossing", alert_range_m=20.0)
+"""The preset in which robots that leave together stay together."""
+#: The two frozen presets, always reported side by side.
 PRESETS: dict[str, Reading] = {"scattered": SCATTERED, "cohesive": COHESIVE}

@@ -56,9 +56,10 @@ class Kind:
         object.__setattr__(self, "attributes", named_numbers(self.attributes, f"kind {self.name!r}, attributes"))
 
 
-#: The paper's two kinds (section VI: velocities 1.5 and 1.0).
 SCOUT = Kind("scout", 1500, armed=False)
+"""The paper's fast kind (section VI: velocity 1.5)."""
 WEAPON = Kind("weapon", 1000, armed=True)
+"""The paper's armed kind (section VI: velocity 1.0)."""
 
 _KNOWN = {kind.name: kind for kind in (SCOUT, WEAPON)}
 

@@ -1,4 +1,4 @@
-"""Take the pictures of the replay page that the README and docs/watch.md show, in a real Chromium.
+"""Take the pictures of the replay page that docs/watch.md shows, in a real Chromium.
 
 Run from the repository: ``python docs/pictures/make.py``. It needs Debian's chromium, playwright and Pillow.
 """
@@ -13,19 +13,19 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from tasklift.building import SCATTERED, generate
-from tasklift.studies.study import Study
+from tasklift.building import generate
+from tasklift.studies.study import Condition, Study
 from tasklift.watch import page, replay
 from tasklift.watch.sources import study_traces
 
 HERE = Path(__file__).parent
-ARMS = ("direct", "copy", "copy+prior")
-STUDY = Study({"office": generate(seed=3)}, {"scattered": SCATTERED}, ARMS)
+ARMS = ("direct", "copy", "copy-prior")
+STUDY = Study.every({"office": generate(seed=3)}, {"scattered": Condition()}, ARMS, seeds=1)
 
 
 def traces(arms, trials):
     """Trace trials on the map and with the seed that all pictures show."""
-    return study_traces(STUDY, reading="scattered", map="office", seed=0, arms=arms, trials=trials)
+    return study_traces(STUDY, condition="scattered", map="office", seed=0, arms=arms, trials=trials)
 
 
 def open_page(browser: Browser, document, step: int, size: tuple[int, int], scheme: str, scale: float = 1) -> Page:
@@ -83,7 +83,7 @@ def main() -> None:
         save(tab, "watch-arms.webp")
         tab = open_page(browser, learning, 150, (1440, 860), "light")
         save(tab, "watch-learning.webp")
-        one = replay(traces(["copy+prior"], [100]), "copy+prior at trial 100")
+        one = replay(traces(["copy-prior"], [100]), "copy+prior at trial 100")
         tab = open_page(browser, one, 154, (1440, 860), "dark")
         tab.evaluate("() => { tasklift.select(6); document.getElementById('legend').open = true; }")
         save(tab, "watch-one.webp")

@@ -109,6 +109,14 @@ def test_the_generated_pages_link_to_what_is_documented(monkeypatch):
         assert isinstance(below, ast.Expr), f"{module}.{name} has no docstring"
 
 
+def test_the_program_of_the_replay_pictures_fits_the_code(monkeypatch):
+    pytest.importorskip("playwright.sync_api")
+    monkeypatch.syspath_prepend(str(DOCS / "pictures"))
+    import make
+
+    assert [label for label, _ in make.traces(make.ARMS, [1])] == ["direct", "copy", "copy+prior"]
+
+
 def test_every_decision_is_in_the_index_and_in_the_navigation():
     index, navigation = (DOCS / "decisions" / "README.md").read_text(), (ROOT / "mkdocs.yml").read_text()
     for page in DOCS.glob("decisions/0*.md"):

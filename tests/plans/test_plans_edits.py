@@ -22,6 +22,7 @@ from test_plans_readers import pgm, two_rooms, write_map
 import tasklift
 from tasklift.building.generate import generate
 from tasklift.building.graph import BEND, DOOR, FEATURE, INTERSECTION, NONE, OTHER, ROOM, Building
+from tasklift.building.search import hostile_candidates
 from tasklift.cli.plans import map_group
 from tasklift.errors import TaskliftError
 from tasklift.plans.check import check, node_lines
@@ -176,7 +177,9 @@ def test_check_counts_and_warns() -> None:
     assert found.counts == {"room": 1, "intersection": 2, "bend": 1, "corner": 0, "door": 0, "other": 1, "edge": 5}
     assert (found.degrees, found.loops, found.bridges) == ({1: 1, 2: 3, 3: 1}, 1, 1)
     text = "\n".join(found.lines())
-    assert "no doors" in text
+    assert "no doors: hostiles hide at bends" in text
+    assert len(hostile_candidates(ladder())) > 0
+    assert any("no place for a hostile" in warning for warning in check(edited("add door at 1 0")).warnings)
     assert "intersections with two corridors" in text
     assert len(node_lines(ladder())) == 5
     assert not any("no doors" in warning for warning in check(generate(seed=1)).warnings)

@@ -119,7 +119,7 @@ class PolicySearch:
         if run.trials < least:
             raise TaskliftError(
                 f"policy search: a generation of {self.population} candidates × {self.episodes} episodes takes {least} "
-                f"trials, found a budget of {run.trials}"
+                f"trials, found a budget of {run.trials}; give at least {least}"
             )
 
     def learn(self, world: Trials | Steps, policy: Policy, run: Run) -> Curve:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasklift.building.graph import CLASS_NAMES, DOOR, FEATURE, INTERSECTION, KIND_NAMES, OTHER, ROOM, Building
+from tasklift.building.search import hostile_candidates
 from tasklift.text import shown
 
 SHORTEST_EDGE_M = 0.3
@@ -117,10 +118,11 @@ def _warnings(building: Building) -> list[str]:
     unmarked = (building.kind == INTERSECTION) & (degree == 2)
     if building.provenance.get("source") != GENERATED:  # as in the paper's buildings, by their counts
         warn("intersections with two corridors; bends or other features?", np.flatnonzero(unmarked))
-    if not door.any():
-        found.append("no doors: hostiles stand at doors, so none can be placed")
-    elif not _doors_for_hostiles(building):
-        found.append("every door is next to the start: no place for a hostile")
+    if not hostile_candidates(building):
+        found.append("no place for a hostile: no door, nor another feature in a building without doors, is away from "
+                     "the start")  # fmt: skip
+    elif not door.any():
+        found.append("no doors: hostiles hide at bends, corners and other features instead")
     if not (building.kind == ROOM).any():
         found.append("no rooms: nothing to search but corridors")
     elif building.kind[building.start] != ROOM:
@@ -170,12 +172,6 @@ def _reach(building: Building) -> np.ndarray:
 def _place(building: Building, node: int) -> str:
     x, y = building.position_m[node].tolist()
     return f"{node} at {x:.1f} {y:.1f}"
-
-
-def _doors_for_hostiles(building: Building) -> bool:
-    here = slice(building.indptr[building.start], building.indptr[building.start + 1])
-    near = np.append(building.neighbour[here], building.start)
-    return bool((np.delete(building.feature_class, near) == DOOR).any())
 
 
 def _near_pairs(building: Building) -> list[tuple[int, int]]:

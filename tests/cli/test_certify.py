@@ -21,6 +21,8 @@ def tasklift(monkeypatch, capsys, tmp_path):
     place = generate(5, 5, 2, 5, seed=1)
     place.save("building.json")
     Policy.equal(Mission(place, "2+3").task).save("policy.json")
+    (tmp_path / "alone").mkdir()
+    Policy.equal(Mission(place, "2+3").task).save("alone/policy.json")
     generate(5, 5, 2, 0, seed=1).save("bare.json")
     Policy.equal(Task("other", (Variable("A", (0, 1)),), (Variable("B", (0, 1)),))).save("other.json")
 
@@ -52,7 +54,7 @@ def test_certifies_and_verifies(tasklift):
 def test_certifies_on_fresh_buildings(tasklift):
     code, out, _ = tasklift("policy.json", "--buildings", "6-7-2", "--team", "2+3", "--episodes", 5, "-o", "c.json")
     assert code == 0
-    assert "episode on a fresh building" in out
+    assert "episodes on fresh buildings" in out
 
 
 @pytest.mark.parametrize(
@@ -68,6 +70,8 @@ def test_certifies_on_fresh_buildings(tasklift):
         (["policy.json", "--team", "2+3", "--hostiles", "40"], "asked for 40"),
         (["policy.json", "--team", "2+3", "--hostiles", "3-1"], "such as 1-5"),
         (["policy.json", "--building", "b.json"], "b.json: cannot be read"),
+        (["missing.json"], "missing.json: cannot be read"),
+        (["alone/policy.json"], "alone/building.json: is not there; name the building with --building"),
         (["policy.json", "--buildings", "6-7"], "such as 21-25-6"),
         (["building.json"], "tasklift-policy"),
         (["--verify", "policy.json"], "tasklift-certificate"),

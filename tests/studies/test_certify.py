@@ -125,7 +125,7 @@ def test_unseen_buildings_are_fresh_each_time() -> None:
     counts = ground.play(careful(1.0), 20, 0)
     assert counts == ground.play(careful(1.0), 20, 0)
     assert counts.episodes == 20
-    assert ground.unit == "episode on a fresh building"
+    assert ground.unit == "episodes on fresh buildings"
     assert ground.mission(1, 3).building != ground.mission(1, 4).building
 
 
@@ -146,7 +146,7 @@ def files(tmp_path: Path) -> Path:
 def test_a_certificate_is_recomputed(files: Path) -> None:
     made = certify(files / "policy.json", team="4+5", hostiles=(1, 2), episodes=400)
     says, path = made.says, made.path
-    assert says.startswith("99 % sure: at most 1 episode on this building in ")
+    assert says.startswith("99 % sure: at most 1 in ")
     assert path == files / "policy-certificate.json"
     assert path.stat().st_size < 2500
     assert verify(path) == says

@@ -84,7 +84,7 @@ class Until:
 
     def __str__(self) -> str:
         arms = ((self.curriculum, self.curriculum_reached), (self.direct, self.direct_reached))
-        found = [f"{median} (reached by {share:.0%})" for median, share in arms]
+        found = [f"{median} (reached by {100 * share:.0f} %)" for median, share in arms]
         return f"median losses until {self.threshold:g} is reached: {found[0]} against {found[1]}"
 
 

@@ -112,7 +112,7 @@ class Ground:
     @property
     def unit(self) -> str:
         """What is counted."""
-        return "episode on this building" if isinstance(self.place, Building) else "episode on a fresh building"
+        return "episodes on this building" if isinstance(self.place, Building) else "episodes on fresh buildings"
 
     def mission(self, hostiles: int, seed: int) -> Mission:
         """Return the world of an episode with this many hostiles; ``seed`` makes the building where it is not given."""
@@ -178,7 +178,7 @@ class Ground:
         for done, k in enumerate(drawn.tolist()):
             yield self.mission(self.hostiles[k], int(rng.integers(2**62))), 1
             if progress is not None:
-                progress(done + 1, episodes, "episodes on fresh buildings")
+                progress(done + 1, episodes, self.unit)
 
     @property
     def n_robots(self) -> int:
@@ -317,12 +317,12 @@ def learning_costs(folder: Path, share: float = 0.95, confidence: float = 0.95) 
 def statement(counts: Counts, bounds: Bounds, confidence: float, unit: str) -> str:
     """Say in one line what a certificate says."""
     if bounds.loss_at_most <= 0.5:
-        lost = f"at most 1 {unit} in {int(1.0 / bounds.loss_at_most):,} loses a robot"
+        lost = f"at most 1 in {int(1.0 / bounds.loss_at_most):,} {unit} loses a robot"
     else:
-        lost = f"at most {bounds.loss_at_most:.0%} lose a robot"
+        lost = f"at most {np.ceil(1000 * bounds.loss_at_most) / 10:g} % of {unit} lose a robot"
     return (
         f"{100 * confidence:g} % sure: {lost}; at least {np.floor(1000 * bounds.solved_at_least) / 10:g} % are solved "
-        f"({counts.episodes:,} × {unit}: {counts.solved:,} solved, {counts.with_losses:,} lost a robot, "
+        f"({counts.episodes:,} episodes: {counts.solved:,} solved, {counts.with_losses:,} lost a robot, "
         f"{counts.lost:,} robots lost, {counts.steps / counts.episodes:.0f} steps on average)"
     )
 
@@ -397,7 +397,10 @@ def certify(
     checked_confidence(confidence)
     if building is not None and buildings is not None:
         raise TaskliftError("certify: --building names one building, --buildings generates many; give one of them")
+    loaded = Policy.load(policy)
     file = None if buildings is not None else building or policy.parent / "building.json"
+    if building is None and file is not None and not file.exists():
+        raise TaskliftError(f"{file}: is not there; name the building with --building, or sizes with --buildings")
     reads = [policy] if file is None else [policy, file]
     out = out or policy.with_name(f"{policy.stem}-certificate.json")
     target = output_file(out, (".json",), force=force, reads=reads)
@@ -407,7 +410,7 @@ def certify(
     ground = Ground(place, hostiles=hostiles, reading=reading, **terms)
     if episodes is None:
         episodes = 10_000 if file is not None else 1_000
-    counts = ground.play(Policy.load(policy), episodes, seed, progress)
+    counts = ground.play(loaded, episodes, seed, progress)
     bounds = Bounds.of(counts, ground.n_robots, confidence)
     says = statement(counts, bounds, confidence, ground.unit)
     document = {

@@ -82,7 +82,7 @@ def diagnose(mission: Mission, policy: Policy) -> list[str]:
     m, limit = mission.weapons_needed, mission.limit
     stuck = [end for end in ends if end.armed >= m and 2 * end.waiting > end.armed]
     weak = [end for end in ends if end.armed < m]
-    explored = f"{np.mean([end.explored for end in ends]):.0%} of the corridors were explored"
+    explored = f"{100 * np.mean([end.explored for end in ends]):.0f} % of the corridors were explored"
     if 2 * len(weak) > len(ends):
         left = f"fewer than {m} weapon robots were left in {len(weak)} of {len(ends)} failed episodes"
         return [f"why: {left}; {explored}"]
@@ -122,7 +122,7 @@ def advice(mission: Mission, ready: float, progress: Progress | None = None) -> 
                 f"{mission.weapons_needed} weapon robots solves {100 * solved:.1f} % of {CONFIRMED:,} fresh episodes"
             )
             return lines
-    lines.append(f"no team of up to {tries[-1].n_robots} robots was found that solves {ready:.0%} of its episodes")
+    lines.append(f"no team of up to {tries[-1].n_robots} robots was found that solves {100 * ready:g} % of its episodes")
     return lines
 
 

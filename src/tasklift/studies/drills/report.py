@@ -176,7 +176,7 @@ def choose(
         run(store, plan.cells(), plan.work, progress=progress, **engine)
         slug, rows = chosen(store)
     lost = [f"robots lost a trial, {with_hostiles(int(h))}" for h in plan.conditions]
-    line = f"of those that lose at most {ADMITTED:.0%} of what the first one does, the most often solved: {slug}"
+    line = f"of those that lose at most {100 * ADMITTED:g} % of what the first one does, the most often solved: {slug}"
     return line, Table("300 drills, T at q = .9", ["drills", *lost, "solved (%)", "admitted"], rows)
 
 

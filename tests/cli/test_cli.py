@@ -389,6 +389,14 @@ def test_scripts_get_json(tasklift, building):
     assert any("verdict" in row for table in json.loads(out) for row in table["rows"])
 
 
+def test_a_piped_table_keeps_its_words(tasklift, building, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    tasklift("train", building, *SMALL, "--practice", 500, "--arms", "direct,copy", "--out", "run")
+    _, out, _ = tasklift("runs", "compare", "run", "--between", "arm=copy,direct")
+    assert "greedy_losses" in out
+    assert "too few seeds (1 of at least 9)" in out
+
+
 @pytest.mark.parametrize("command", ["compare run --between arm=copy,direct", "show run"])
 def test_names_are_not_cut_at_80_columns(tasklift, building, command, monkeypatch):
     tasklift("train", building, *SMALL, "--practice", 500, "--arms", "direct,copy", "--out", "run")

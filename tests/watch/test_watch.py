@@ -249,8 +249,11 @@ def test_mistakes_are_told_in_one_line(building_file, tmp_path):
     newer.write_text('{"format": "tasklift-replay", "version": 2}')
     cut = tmp_path / "cut.json"
     cut.write_text('{"format": "tasklift-replay", "vers')
+    plan = tmp_path / "plan.pgm"
+    plan.write_bytes(b"P5 2 2 255 " + bytes(4))
     for arguments, message in (
         ((tmp_path / "nothing",), "no such file or folder"),
+        ((plan,), "is a floor plan, not a building"),
         ((nan,), "NaN"),
         ((newer,), "version 2"),
         ((cut,), "cut short"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from tasklift.lab.runs import Table
 
 _path = click.Path(path_type=Path)
+#: Characters of the widest table where there is no terminal.
+WIDEST = 200
 
 
 def _names(ctx: click.Context, parameter: click.Parameter, text: str | None) -> list[str] | None:
@@ -88,7 +91,10 @@ def runs_export(run: Path, out: Path, what: str, force: bool) -> None:
 
 
 def print_tables(*tables: Table, as_json: bool = False) -> None:
-    """Print tables as wide as the terminal, or as JSON. A name that does not fit goes on in the next line."""
+    """Print tables as wide as the terminal, or as JSON. A name that does not fit goes on in the next line.
+
+    Into a file or a pipe, tables are as wide as they need to be, unless ``COLUMNS`` says otherwise.
+    """
     if as_json:
         documents = [
             {"title": found.title, "rows": [dict(zip(found.headers, row, strict=True)) for row in found.rows]}
@@ -101,6 +107,8 @@ def print_tables(*tables: Table, as_json: bool = False) -> None:
     from rich.text import Text
 
     console = Console()
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = WIDEST
     for content in tables:
         table = Drawn(title=Text(printable(content.title)), title_justify="left")
         for header in content.headers:

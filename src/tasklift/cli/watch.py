@@ -83,7 +83,7 @@ def _document(source: Path, **options: Any) -> dict[str, Any]:
         found = parse_json(read_text(source), str(source))
         if isinstance(found, dict) and found.get("format") == FORMAT:
             return checked(found, str(source))
-    if source.is_dir() or source.suffix not in (".json", ".graph"):
+    if source.is_dir() or source.suffix == ".sqlite":
         traces = _of_run(source, **options)
     else:
         traces = _of_building(source, **options)

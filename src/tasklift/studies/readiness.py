@@ -122,7 +122,7 @@ def advice(mission: Mission, ready: float, progress: Progress | None = None) -> 
                 f"{mission.weapons_needed} weapon robots solves {100 * solved:.1f} % of {CONFIRMED:,} fresh episodes"
             )
             return lines
-    lines.append(f"no team of up to {tries[-1].n_robots} robots was found that solves {100 * ready:g} % of its episodes")
+    lines.append(f"no team of up to {tries[-1].n_robots} robots was found that solves {100 * ready:g} % of episodes")
     return lines
 
 

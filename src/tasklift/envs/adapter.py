@@ -21,7 +21,7 @@ from tasklift.errors import TaskliftError
 from tasklift.learning.worlds import Step, count_of, finite
 from tasklift.tasks.task import Task
 from tasklift.tasks.variable import Variable
-from tasklift.text import shown
+from tasklift.text import one_line, shown
 
 
 @dataclass(slots=True, eq=False)
@@ -310,8 +310,11 @@ def _need_split(space: Any, variables: Sequence[Variable], what: str, function: 
     sizes = None if found is None else [size for _, size in found]
     if sizes is None or (sizes != ours and (len(sizes) > 1 or sizes[0] != math.prod(ours))):
         names = " × ".join(f"{v.name} ({len(v)})" for v in variables)
-        binned = "; for numbers in bins, tasklift.envs.spaces.Bins" if type(space).__name__ == "Box" else ""
-        raise TaskliftError(f"{what} is {space}, which does not split into {names} by itself; give {function}={binned}")
+        binned = ", such as tasklift.envs.spaces.Bins" if type(space).__name__ == "Box" else ""
+        raise TaskliftError(
+            f"{what} is {one_line(space, 80)}, which does not split into {names} by itself; give {function}={binned} "
+            "(in a spec: a world of your own, python = ...)"
+        )
 
 
 def _actions(space: Any, task: Task, act: Act | None, name: str) -> list[Any]:

@@ -208,7 +208,7 @@ def _one_line(error: TaskliftError) -> str:
     line = str(error)
     assert len(line) <= LONGEST_LINE, f"{len(line)} characters: {line}"
     assert "\n" not in line, f"more than one line: {line!r}"
-    assert line.isprintable() or all(c.isprintable() or c in "\u2009\u00a0" for c in line), repr(line)
+    assert line.isprintable() or all(c.isprintable() or c == "\u00a0" for c in line), repr(line)
     return line
 
 

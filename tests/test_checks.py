@@ -112,7 +112,7 @@ def test_what_cannot_be_shown_is_shown_all_the_same() -> None:
 
 @given(st.floats(allow_nan=False, allow_infinity=False, width=32))
 def test_numbers_for_people_say_what_they_are(value: float) -> None:
-    text = number(value).replace("\u2009", "").replace("−", "-")
+    text = number(value).replace(",", "").replace("−", "-")
     assert math.isclose(float(text), value, rel_tol=6e-4)
     assert "-" not in number(value)
 
@@ -122,7 +122,7 @@ def test_numbers_for_people_say_what_they_are(value: float) -> None:
     [
         ((1.7231, 1.1752, 2.2713), "1.72 [1.18, 2.27]"),
         ((-3.5, -4.25, -2.75), "−3.50 [−4.25, −2.75]"),
-        ((1234567, 1230000, 1240000), "1\u2009234\u2009567 [1\u2009230\u2009000, 1\u2009240\u2009000]"),
+        ((1234567, 1230000, 1240000), "1,234,567 [1,230,000, 1,240,000]"),
         ((2.0, 2.0, 2.0), "2.00 [2.00, 2.00]"),
         ((math.inf, 1.0, math.inf), "∞ [1, ∞]"),
         ((-0.001, -0.2, 0.198), "0.00 [−0.20, 0.20]"),

@@ -76,10 +76,10 @@ def html_picture(caption: str, figure: Any) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Return a number as people write it: ``digits`` significant digits, thousands apart by thin spaces.
+    """Return a number as people write it: ``digits`` significant digits, thousands apart by commas.
 
     >>> number(0.123456), number(-2), number(1234567.8)
-    ('0.1235', '−2', '1\u2009234\u2009568')
+    ('0.1235', '−2', '1,234,568')
     """
     if not math.isfinite(value):
         return "–" if math.isnan(value) else ("∞" if value > 0 else "−∞")
@@ -107,4 +107,4 @@ def _fixed(value: float, places: int) -> str:
     text = f"{value:,.{places}f}"
     if float(text.replace(",", "")) == 0:
         text = text.removeprefix("-")
-    return text.replace(",", "\u2009").replace("-", "−")
+    return text.replace("-", "−")

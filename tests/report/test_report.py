@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import pages
 from tasklift.errors import TaskliftError
 from tasklift.report.charts import Mark, Row, Series, ticks
 from tasklift.report.page import Link, Number, Report
@@ -189,7 +190,7 @@ def test_a_curve_keeps_its_colour_and_shows_gaps():
 
 def test_tables_say_numbers_and_verdicts():
     page = Report("t").table(["a", "b"], [[12345.6, "undecided"], [float("nan"), None]]).html()
-    assert "12\u2009346" in page
+    assert "12,346" in page
     assert '<span class="badge open short"><b>–</b> <span>undecided</span></span>' in page
     assert '<th scope="col" class=num>a</th>' in page
     few = Report("t").table(["a"], [["holds"], ["too few seeds (3 of at least 6)"]]).html()
@@ -213,7 +214,7 @@ def test_ticks_cover_the_range_with_few_round_steps(low, span):
     [
         (0.0, "0"),
         (-1.5, "−1.5"),
-        (1234567, "1\u2009234\u2009567"),
+        (1234567, "1,234,567"),
         (0.123456, "0.1235"),
         (math.inf, "∞"),
         (600, "600"),
@@ -257,3 +258,13 @@ def test_a_browser_runs_it_without_an_error(tmp_path):
     page = Reader(done.stdout)
     assert not [key for key, _ in page.attributes if key.startswith("on")]
     assert page.tags.count("img") == 2
+
+
+@pytest.mark.skipif(pages.chromium() is None, reason="no chromium here: the page is not opened in a browser")
+def test_a_wide_table_of_verdicts_does_not_widen_the_page(tmp_path):
+    pytest.importorskip("playwright.sync_api")
+    few = "too few seeds (3 of at least 6)"
+    header = ["the paper says", *["copy+prior, scattered"] * 6]
+    Report("t").table(header, [["indirect learning loses far fewer robots", *[few] * 6]]).write(tmp_path / "report.html")
+    with pages.browser() as started:
+        assert set(pages.measure(started, tmp_path / "report.html").overflow.values()) == {0}

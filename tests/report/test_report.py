@@ -265,6 +265,6 @@ def test_a_wide_table_of_verdicts_does_not_widen_the_page(tmp_path):
     pytest.importorskip("playwright.sync_api")
     few = "too few seeds (3 of at least 6)"
     header = ["the paper says", *["copy+prior, scattered"] * 6]
-    Report("t").table(header, [["indirect learning loses far fewer robots", *[few] * 6]]).write(tmp_path / "report.html")
+    Report("t").table(header, [["indirect learning loses fewer robots", *[few] * 6]]).write(tmp_path / "report.html")
     with pages.browser() as started:
         assert set(pages.measure(started, tmp_path / "report.html").overflow.values()) == {0}

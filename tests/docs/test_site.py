@@ -21,6 +21,10 @@ WIDE_TABLES = """() => [...document.querySelectorAll('article table')].filter(
     (table) => table.getBoundingClientRect().width > table.parentElement.clientWidth + 1
 ).map((table) => table.innerText.slice(0, 60))"""
 
+BROKEN_NAMES = """() => [...document.querySelectorAll('article td:first-child code')].filter(
+    (name) => /^["\\w=.]+$/.test(name.textContent) && name.getClientRects().length > 1
+).map((name) => name.textContent)"""
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -53,11 +57,14 @@ def test_every_page_passes_axe_and_no_table_is_wider_than_its_column(site: Path,
     assert faults == []
 
 
-def test_no_page_is_wider_than_a_phone(site: Path, browser: playwright.Browser) -> None:
+def test_no_page_is_wider_than_a_phone_nor_breaks_the_names_in_its_tables(
+    site: Path, browser: playwright.Browser
+) -> None:
     tab = browser.new_page(viewport={"width": 390, "height": 844})
     for page in sorted(site.glob("*.html")):
         tab.goto(page.as_uri())
         assert tab.evaluate("document.documentElement.scrollWidth") <= 390, page.name
+        assert tab.evaluate(BROKEN_NAMES) == [], page.name
 
 
 def test_the_home_page_plays_a_replay(site: Path, browser: playwright.Browser) -> None:

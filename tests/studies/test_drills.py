@@ -301,6 +301,7 @@ def test_the_command_leaves_a_report_a_figure_and_a_page(tmp_path, monkeypatch, 
     assert text.endswith("The end.\n")
     for name in ("| drill 300, q = .9 | 2 |", "| every-door drill 300, exploitation | 2 |", "(pictures/drills.png)"):
         assert name in text
+    assert text.count("<details markdown>") == text.count("</details>") == text.count("<summary>") > 0
     assert (page.parent / "pictures" / "drills.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "out" / "drills.md").read_text(encoding="utf-8") in text
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -339,14 +339,15 @@ def _scale(plan: Study) -> str:
 
 
 def markdown(says: str, tables: Tables, plan: Study) -> str:
-    """Return the results as Markdown: a sentence, the figure's place, every table in two."""
+    """Return the results as Markdown: a sentence, the figure's place, every table in two; all but the first folded."""
     picture = f"![Robots lost by number of hostiles, and learning curves]({PICTURE})"
     parts = [f"**{says}**", picture, _scale(plan)]
-    for title, found in tables.items():
-        if found:
-            parts.append(f"### {title[0].upper()}{title[1:]}")
-            for headers, rows in ((LOSSES, losses(found)), (PRICE, prices(found))):
-                parts.append(markdown_table(headers, rows, missing="–").rstrip())
+    for k, (title, found) in enumerate((title, found) for title, found in tables.items() if found):
+        name = f"{title[0].upper()}{title[1:]}"
+        parts.append(f"<details markdown>\n<summary>{name}</summary>" if k else f"### {name}")
+        for headers, rows in ((LOSSES, losses(found)), (PRICE, prices(found))):
+            parts.append(markdown_table(headers, rows, missing="–").rstrip())
+        parts += ["</details>"] if k else []
     return "\n\n".join(parts) + "\n"
 
 

@@ -27,11 +27,15 @@ GENERATED = re.compile(
 
 
 @pytest.mark.parametrize("page", ["method", "simulator", "experiments", "watch", "extending", "learners", "robot"])
-def test_code_blocks_run_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
+def test_code_blocks_run_from_top_to_bottom_and_print_what_the_page_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(), re.DOTALL)
+    text = (DOCS / f"{page}.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert blocks
     exec(compile("\n".join(blocks), f"docs/{page}.md", "exec"), {})
+    printed = capsys.readouterr().out
+    for says in re.findall(r"```text\n(.*?)```", text, re.DOTALL):
+        assert says in printed
 
 
 def test_the_method_page_shows_what_its_first_blocks_print(tmp_path, monkeypatch, capsys):

@@ -389,6 +389,22 @@ def test_scripts_get_json(tasklift, building):
     assert any("verdict" in row for table in json.loads(out) for row in table["rows"])
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["tarin", "x"], "there is no command 'tarin'; did you mean 'train'?"),
+        (["map", "imprt"], "there is no command 'imprt'; did you mean 'import'?"),
+        (["runs", "42"], "there is no command '42'; expected one of compare, export, list, show"),
+        (["--versio"], "No such option '--versio'"),
+    ],
+)
+def test_an_unknown_command_names_what_may_be_meant(tasklift, words, says):
+    code, _, err = tasklift(*words)
+    assert code == 2
+    assert says in err
+    assert len(err.splitlines()) == 1
+
+
 def test_a_piped_table_keeps_its_words(tasklift, building, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     tasklift("train", building, *SMALL, "--practice", 500, "--arms", "direct,copy", "--out", "run")

@@ -15,6 +15,7 @@ from typing import NoReturn
 import click
 
 from tasklift import __version__
+from tasklift.cli.options import Group
 from tasklift.errors import TaskliftError
 from tasklift.text import one_line
 
@@ -50,7 +51,7 @@ _ELSEWHERE = {
 STOPPED = "stopped; the same command goes on from there"
 
 
-class _Commands(click.Group):
+class _Commands(Group):
     """A group that imports a command of another wing only when it is asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:

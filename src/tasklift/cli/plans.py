@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from tasklift.cli.options import Group
 from tasklift.cli.terminal import say
 
 _file = click.Path(path_type=Path)
@@ -35,7 +36,7 @@ class _Place(click.ParamType):
         return x, y
 
 
-@click.group("map")
+@click.group("map", cls=Group)
 def map_group() -> None:
     """Turn floor plans into buildings; look at them, check, correct, export."""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tasklift.cli.options import as_json, mission, path, positive
+from tasklift.cli.options import Group, as_json, mission, path, positive
 from tasklift.cli.runs import print_tables
 from tasklift.cli.terminal import say, say_json
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _EPISODES = 20
 
 
-@click.group("policy")
+@click.group("policy", cls=Group)
 def policy_group() -> None:
     """Show and export what was learned."""
 

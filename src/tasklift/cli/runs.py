@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tasklift.cli.options import as_json
+from tasklift.cli.options import Group, as_json
 from tasklift.cli.terminal import say, say_json
 from tasklift.text import number, printable
 
@@ -37,7 +37,7 @@ def _between(ctx: click.Context, parameter: click.Parameter, text: str | None) -
 _over = click.option("--over", callback=_names, help="Axes to average over, such as map,seed; else the experiment's.")
 
 
-@click.group("runs")
+@click.group("runs", cls=Group)
 def runs_group() -> None:
     """List, show, compare and export experiments."""
 

@@ -273,7 +273,7 @@ def measure(python: str, script: str, *, cores: int, batch: int, seconds: float)
     An environment that is stepped alone runs once on each core.
     """
     copies, threads = (cores, 1) if batch == 1 else (1, cores)
-    settings = f"BATCH, LANES, THREADS, SECONDS = {batch}, {4 * threads}, {threads}, {seconds}\n"
+    settings = f"BATCH, LANES, THREADS, SECONDS = {batch}, {16 * threads}, {threads}, {seconds}\n"
     environment = dict(os.environ, OMP_NUM_THREADS=str(threads), MKL_NUM_THREADS=str(threads), JAX_PLATFORMS="cpu")
     environment["XLA_FLAGS"] = f"--xla_cpu_multi_thread_eigen={'true' if threads > 1 else 'false'}"
     running = []
@@ -313,7 +313,7 @@ def jobs(names: list[str]) -> list[Job]:
     found = []
     if not names or "tasklift" in names:
         for preset, script in OURS.items():
-            found.append(Job(f"tasklift, {preset}", "4 runs per core", None, sys.executable, script, 0))
+            found.append(Job(f"tasklift, {preset}", "16 runs per core", None, sys.executable, script, 0))
     for peer in PEERS:
         if names and peer.name not in names:
             continue

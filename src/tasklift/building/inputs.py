@@ -30,7 +30,7 @@ from tasklift.files import write_atomically
 from tasklift.text import one_line, shown
 
 _HERE = Path(__file__).parent
-_COMPILED_IN = ("kernel.py", "layout.py", "sensors.py", "randomness.py", "../tasks/choice.py")
+_COMPILED_IN = ("kernel.py", "layout.py", "sensors.py", "randomness.py", "bits.py", "../tasks/choice.py")
 _made: dict[str, ModuleType] = {}
 _SEEN = "    return lane.robots[r].row\n"
 

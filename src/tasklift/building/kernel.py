@@ -21,7 +21,8 @@ import numpy as np
 from numba import njit
 
 from tasklift.building import sensors
-from tasklift.building.layout import Lane
+from tasklift.building.bits import lowest_bit
+from tasklift.building.layout import AGENDA, Lane
 from tasklift.building.randomness import (
     EDGE_DRAW,
     FIRST,
@@ -46,12 +47,12 @@ TIME_NONE, TIME_INVERTED, TIME_BASELINE = 0, 1, 2  # rule 19
 NEVER = np.int64(2**62)  # a tick that does not come
 GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input that the task leaves out
 
+_sum_up = inline(scalar.sum_up)
 _draw_summed = inline(scalar.draw_summed)
 _heaviest = inline(scalar.heaviest)
 _reinforced = inline(scalar.reinforce)
 _inverted = inline(scalar.time_inverted)
 _against_mean = inline(scalar.time_baseline)
-_goal = sensors.goal
 
 
 # --- keys of random draws: see tasklift.building.randomness ------------------------------------------------------
@@ -74,78 +75,34 @@ def keys(seed, map_id, stage):
 
 
 @inline
-def _moves(learner, robot):
-    return robot.repelled == 0 and learner.outputs[robot.force].mv == 1
-
-
-@inline
-def _stops(world, learner, lane, robot):
-    """Return 1 if a robot stands at an unresolved feature and does not move on, else 0 (rule 11)."""
-    if robot.half >= 0 or world.nodes[robot.node].feature == 1 or lane.sites[robot.node].resolved == 1:
-        return 0
-    return 0 if _moves(learner, robot) else 1
-
-
-@inline
-def _input(world, rules, lane, r):
-    """Return robot r's input of Table I, numbered in C order. Robots decide anew when it changes (rule 6)."""
-    return (
-        lane.robots[r].alarmed
-        + sensors.weapon_robots(world, rules, lane, r, world.numbers) * 5
-        + sensors.feature_faced(world, rules, lane, r, world.numbers)
-    )
-
-
-@inline
 def hear(world, rules, lane, r, dl, about):
     """Let robot r know of danger at a feature; note the part of its input that nothing else changes."""
     robot = lane.robots[r]
     robot.dl = dl
     robot.alert = about
+    robot.goal = about if dl == 2 or (dl == 1 and rules.suspicion_goal == 1) else np.int64(-1)
     danger = sensors.danger_level(world, rules, lane, r, world.numbers)
     robot.alarmed = danger * 30 + sensors.goal_known(world, rules, lane, r, world.numbers) * 15
     touch(lane, np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
 
 
 @inline
+def _input(lane, r):
+    """Return robot r's input of Table I, numbered in C order: DL, GL, nWPN, FTR."""
+    robot = lane.robots[r]
+    return _row_of(lane, robot) + (lane.sites[robot.node].faced if robot.half < 0 else np.int64(0))
+
+
+@inline
+def _row_of(lane, robot):
+    """Return a robot's input but for the feature that it faces."""
+    return robot.alarmed + lane.teams[robot.team].weapons * 5
+
+
+@inline
 def _seen(world, rules, lane, r):
     """Return robot r's input: its row of the mission's table. :mod:`tasklift.building.inputs` puts others here."""
     return lane.robots[r].row
-
-
-@inline
-def sense(world, rules, lane, r):
-    """Find a robot's input; it is due for a decision when that has changed (rule 6)."""
-    robot = lane.robots[r]
-    row = _input(world, rules, lane, r)
-    if row != robot.row:
-        robot.due = 1
-        robot.row = row
-
-
-@inline
-def wake(rules, lane):
-    """List who is looked at in this step (see :func:`plan`): those who may decide or leave, and the others.
-
-    Who is under way and not due has nothing to decide and to choose: it arrives, or meets somebody. No branch depends
-    on who wakes: processors would guess it wrong, and lose more time than the rest of the loop takes.
-    """
-    robots, awake, moving, count = lane.robots, lane.awake, lane.moving, lane.count[0]
-    tick, n_woken, n, n_moving = count.tick, 0, 0, 0
-    for r in range(lane.wakes.shape[0]):
-        awake[np.uint64(n_woken)] = r
-        n_woken += lane.wakes[r] <= tick
-    for i in range(n_woken):
-        r = awake[i]
-        robot = robots[r]
-        robot.due |= tick >= robot.decided + rules.patience
-        decides = (robot.half < 0) | (robot.due == 1)
-        awake[np.uint64(n)] = r
-        moving[np.uint64(n_moving)] = r
-        n += decides
-        n_moving += not decides
-    count.awake = n
-    count.moving = n_moving
 
 
 @inline
@@ -158,14 +115,11 @@ def reinforce(learner, lane, row, out, signal):
 @inline
 def credit(learner, lane, row, out):
     """Book the use of (row, out) and apply its local signal at once (rules 17 and 19)."""
-    count = lane.count[0]
-    pair = np.uint32(row * lane.weights.shape[1] + out)
-    fresh = lane.used[pair] == 0
-    if fresh:
-        lane.used[pair] = 1
-        lane.pairs[count.used] = pair
-        count.used += 1
-    if learner.learn == 1 and learner.sweep_all == 0 and (fresh or learner.once == 0):
+    word, bit = out >> 6, np.uint64(1) << np.uint64(out & 63)
+    used = lane.used[row, word]
+    fresh = used & bit == 0
+    lane.used[row, word] = used | bit
+    if learner.at_once == 1 and (fresh or learner.once == 0):
         signal = learner.signal[row, out]
         if signal != 0.0:
             reinforce(learner, lane, row, out, signal)
@@ -174,13 +128,10 @@ def credit(learner, lane, row, out):
 @inline
 def draw_by_weight(lane, row, u):
     """Draw an output in proportion to its weight, from sums that are brought up to date where they are stale."""
-    sums, weights, first = lane.sums[row], lane.weights[row], lane.stale[row]
-    if first < sums.shape[0]:
-        running = sums[first - 1] if first > 0 else 0.0
-        for out in range(first, sums.shape[0]):
-            running += weights[out]
-            sums[out] = running
-        lane.stale[row] = sums.shape[0]
+    weights, sums = lane.weights[row], lane.sums[row]
+    if lane.stale[row] < weights.shape[0]:
+        _sum_up(weights, sums, lane.stale[row])
+        lane.stale[row] = weights.shape[0]
     return _draw_summed(weights, sums, u)
 
 
@@ -205,72 +156,90 @@ def draw_output(learner, lane, r):
 
 
 @inline
-def wake_teams(lane):
+def wake_teams(rules, lane):
     """Wake every member of a team in which one is due (rule 5)."""
     robots, teams, count = lane.robots, lane.teams, lane.count[0]
-    someone_due = False
-    for i in range(count.awake):
-        robot = robots[lane.awake[i]]
+    for i in range(count.alive):
+        robot = robots[lane.roster[i]]
+        robot.due |= np.int64(count.tick >= robot.decided + rules.patience)
         teams[robot.team].due |= robot.due
-        someone_due |= robot.due == 1
-    if not someone_due:
-        return
-    n, n_moving = 0, 0
     for i in range(count.alive):
         r = lane.roster[i]
-        robot = robots[r]
-        robot.due = teams[robot.team].due
-        if robot.due == 1 or (robot.half < 0 and lane.wakes[r] <= count.tick):
-            lane.awake[np.uint64(n)] = r
-            n += 1
-        elif lane.wakes[r] <= count.tick:
-            lane.moving[np.uint64(n_moving)] = r
-            n_moving += 1
-    count.awake = n
-    count.moving = n_moving
-    for i in range(n):
-        teams[robots[lane.awake[i]].team].due = 0
+        robots[r].due = teams[robots[r].team].due
+        if robots[r].due == 1:
+            lane.agenda[slot(count.tick, r >> 6, 1)] |= bit_of(r)
+    for i in range(count.alive):
+        teams[robots[lane.roster[i]].team].due = 0
+
+
+@inline
+def stops(robot, site):
+    """Return whether a robot at a node stops there at an unresolved feature: it does not move on (rule 11)."""
+    return (robot.going == 0) & (site.faced > 0)
 
 
 @inline
 def decide(world, rules, learner, lane):
-    """Let those of the awake who are due decide, in robot order (rules 5 and 6).
+    """Let those who wake to it decide, in robot order (rules 5 and 6); list who leaves its node.
 
     Keeps count of who stops at an unresolved feature, and returns whether somebody began to.
     """
-    robots, teams, sites, count = lane.robots, lane.teams, lane.sites, lane.count[0]
-    began = False
-    if rules.by_team == 1:
-        wake_teams(lane)
-    for i in range(count.awake):
-        r = lane.awake[i]
-        robot = robots[r]
-        if robot.due == 1:
-            robot.seen = _seen(world, rules, lane, r)
-            lead = teams[robot.team].lead
-            if rules.by_team == 1 and lead != r:
-                robot.out = robots[lead].out
-                robot.pair_row = robots[lead].pair_row
+    robots, count = lane.robots, lane.count[0]
+    began, n_leaving = False, 0
+    for word in range(words(lane)):
+        bits = lane.agenda[slot(count.tick, word, 1)]
+        while bits != 0:
+            r = lowest_robot(word, bits)
+            bits &= bits - np.uint64(1)
+            robot = robots[r]
+            if robot.due == 1 or count.tick >= robot.decided + rules.patience:
+                take_output(world, rules, learner, lane, r)
+            robot.crossing = 0
+            if robot.half >= 0:
+                lane.agenda[slot(count.tick, word, 0)] |= bit_of(r)
+                continue
+            site = lane.sites[robot.node]
+            change = np.int64(stops(robot, site)) - robot.stopping
+            if change != 0:
+                began |= change > 0
+                count.stopping += change
+                site.stoppers += change
+                robot.stopping += change
+            if (robot.going == 1) & (site.unsearched == 0):
+                lane.leaving[np.uint64(n_leaving)] = r
+                n_leaving += 1
             else:
-                draw_output(learner, lane, r)
-            robot.due = 0
-            robot.decided = count.tick
-            robot.repelled = 0
-            if robot.half < 0:
-                robot.force = robot.out
-        stops = _stops(world, learner, lane, robot)
-        if stops != robot.stopping:
-            began |= stops == 1
-            count.stopping += stops - robot.stopping
-            sites[robot.node].stoppers += stops - robot.stopping
-            robot.stopping = stops
+                touch(lane, robot.node)
+    count.leaving = n_leaving
     return began
 
 
 @inline
+def take_output(world, rules, learner, lane, r):
+    """Let robot r see its input and decide, or follow the lead of its team (rule 5)."""
+    robot = lane.robots[r]
+    robot.row = _input(lane, r)
+    robot.seen = _seen(world, rules, lane, r)
+    if rules.by_team == 1 and lane.teams[robot.team].lead != r:
+        lead = lane.teams[robot.team].lead
+        robot.out = lane.robots[lead].out
+        robot.pair_row = lane.robots[lead].pair_row
+    else:
+        draw_output(learner, lane, r)
+    robot.due = 0
+    robot.decided = lane.count[0].tick
+    robot.repelled = 0
+    robot.going = learner.outputs[robot.out].mv
+
+
+@inline
 def _listen(world, rules, lane, r):
-    """Let a robot hear of the nearby feature, the highest-numbered one, at which somebody stops (rule 11)."""
-    node = world.nodes[lane.robots[r].node]
+    """Let a robot that suspects nothing hear of a stop at a nearby feature, the highest-numbered one (rule 11)."""
+    robot = lane.robots[r]
+    robot.listens = 0
+    if robot.dl > 0:
+        return
+    node = world.nodes[robot.node]
     for k in range(node.near_first, node.near_last):
         site = lane.sites[world.near[k]]
         if site.stoppers > 0 and site.resolved == 0:
@@ -287,14 +256,18 @@ def alert(world, rules, lane, began):
     suspicion that was resolved, and for a robot that ``listens``: it came to another node.
     """
     count = lane.count[0]
-    everyone = began or count.cleared == 1
+    if began or count.cleared == 1:
+        for i in range(count.alive):
+            _listen(world, rules, lane, lane.roster[i])
+    else:
+        for word in range(words(lane)):
+            bits = lane.agenda[slot(count.tick, word, 1)]
+            while bits != 0:
+                r = lowest_robot(word, bits)
+                bits &= bits - np.uint64(1)
+                if lane.robots[r].listens == 1:
+                    _listen(world, rules, lane, r)
     count.cleared = 0
-    for i in range(count.alive if everyone else count.awake):
-        r = lane.roster[i] if everyone else lane.awake[i]
-        robot = lane.robots[r]
-        if robot.dl == 0 and (everyone or robot.listens == 1):
-            _listen(world, rules, lane, r)
-        robot.listens = 0
 
 
 @inline
@@ -307,22 +280,22 @@ def open_edges(world, rules, lane, r):
     """List in ``lane.open`` the half-edges that robot r may take from its node (rule 8); return how many."""
     robot, is_open = lane.robots[r], lane.open
     node = world.nodes[robot.node]
-    degree, goal = node.last - node.first, _goal(rules, robot)
-    back = degree == 1 or (rules.turn_back == 1 and goal >= 0 and goal != robot.node)
+    back = node.last - node.first == 1 or (rules.turn_back == 1 and robot.goal >= 0 and robot.goal != robot.node)
     came = np.int64(-1) if back else robot.came
-    prefers_new = rules.unvisited_first == 1 and goal < 0
-    n, n_new = 0, 0
-    for j in range(degree):
-        half = np.uint32(node.first + j)
-        edge = world.halves[half].edge
-        if edge == came:
-            continue
-        if prefers_new and not _knows(lane, r, edge):  # the first one displaces those that are known
-            is_open[np.uint64(n_new)] = half
+    if came >= 0 and node.last - node.first == 2:  # most often: nothing but to go on
+        is_open[0] = node.first + (world.halves[node.first].edge == came)
+        return 1
+    n = 0
+    for half in range(node.first, node.last):
+        is_open[np.uint64(n)] = half
+        n += world.halves[half].edge != came
+    if n == 1 or rules.unvisited_first == 0 or robot.goal >= 0:
+        return n
+    n_new = 0
+    for j in range(n):
+        if not _knows(lane, r, world.halves[is_open[j]].edge):
+            is_open[n_new] = is_open[j]
             n_new += 1
-        elif n_new == 0:
-            is_open[np.uint64(n)] = half
-            n += 1
     return n_new if n_new > 0 else n
 
 
@@ -340,15 +313,14 @@ def draw_edge(world, rules, learner, lane, r, n_open):
     robot, is_open, share = lane.robots[r], lane.open, lane.share
     if n_open == 1:
         return is_open[0]
-    goal = _goal(rules, robot)
     coverage, nearness = 0.0, 0.0
     for j in range(n_open):
         coverage += world.halves[is_open[j]].coverage
-    if goal >= 0 and goal != robot.node:
+    if robot.goal >= 0 and robot.goal != robot.node:
         for j in range(n_open):
-            share[j] = _nearness(world, rules, world.halves[is_open[j]].to, goal)
+            share[j] = _nearness(world, rules, world.halves[is_open[j]].to, robot.goal)
             nearness += share[j]
-    ca = learner.outputs[robot.force].ca
+    ca = learner.outputs[robot.out].ca
     even, running = 1.0 / n_open, 0.0
     for j in range(n_open):
         covered = world.halves[is_open[j]].coverage / coverage if coverage > 0.0 else even
@@ -381,7 +353,7 @@ def choose_edge(world, rules, learner, lane, r):
     robot, picks, is_open = lane.robots[r], lane.picks, lane.open
     site, count = lane.sites[robot.node], lane.count[0]
     first = world.nodes[robot.node].first
-    if learner.outputs[robot.force].back == 1 and robot.came >= 0:
+    if learner.outputs[robot.out].back == 1 and robot.came >= 0:
         half = np.uint32(first)
         while world.halves[half].edge != robot.came:
             half += np.uint32(1)
@@ -412,23 +384,21 @@ def choose_edge(world, rules, learner, lane, r):
 
 @inline
 def leave(world, rules, learner, lane):
-    """Let the awake who move at a node choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
+    """Let those who leave choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
 
     Returns whether any unresolved feature is crossed.
     """
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
     crossed = False
-    for i in range(count.awake):
-        r = lane.awake[i]
+    for i in range(count.leaving):
+        r = lane.leaving[i]
         robot = robots[r]
-        robot.crossing = 0
-        if (robot.half >= 0) | (sites[robot.node].unsearched > 0) | (not _moves(learner, robot)):
-            continue
         half = choose_edge(world, rules, learner, lane, r)
         robot.next = half
-        node, site = world.nodes[robot.node], sites[robot.node]
-        if node.feature == 1 or site.resolved == 1:
+        site = sites[robot.node]
+        if site.faced == 0:
             continue
+        node = world.nodes[robot.node]
         if world.halves[half].edge != robot.came or node.last - node.first == 1:
             robot.crossing = 1
             crossed = True
@@ -444,8 +414,8 @@ def _resolve(rules, lane):
     """Decide each crossed feature; return the highest and second-highest node of a failed attack, or -1."""
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
     highest, second = np.int64(-1), np.int64(-1)
-    for i in range(count.awake):
-        robot = robots[lane.awake[i]]
+    for i in range(count.leaving):
+        robot = robots[lane.leaving[i]]
         site = sites[robot.node]
         if robot.crossing == 0 or site.resolved == 1 or site.failed == count.tick:
             continue
@@ -460,6 +430,7 @@ def _resolve(rules, lane):
             count.hostiles_left -= site.hostile
             site.hostile = 0
             site.resolved = 1
+            site.faced = 0
     return highest, second
 
 
@@ -479,12 +450,12 @@ def encounter(world, rules, learner, lane):
         )
         if engaged:
             count.losses += 1
-            if learner.loss_signal != 0.0 and learner.learn == 1 and learner.sweep_all == 0:
+            if learner.loss_signal != 0.0 and learner.at_once == 1:
                 reinforce(learner, lane, robot.pair_row, robot.out, learner.loss_signal)
             if rules.drill == 0:
                 robot.alive = 0
                 robot.died = count.tick
-                lane.wakes[r] = NEVER
+                cancel(lane, r)
                 count.stopping -= robot.stopping
                 sites[robot.node].stoppers -= robot.stopping
                 robot.stopping = 0
@@ -494,6 +465,7 @@ def encounter(world, rules, learner, lane):
             if robot.crossing == 1:
                 robot.next = -1
                 robot.repelled = 1
+                robot.going = 0
         news = second if engaged and robot.node == highest else highest
         dl, about = robot.dl, robot.alert
         if about >= 0 and sites[about].resolved == 1:
@@ -513,13 +485,14 @@ def encounter(world, rules, learner, lane):
 def _speed(world, learner, lane, r):
     """Return how far a robot comes in a step in which it moves (mm): rules 2 and 15."""
     robot, member = lane.robots[r], world.members[r]
-    team = lane.teams[robot.team]
-    keeps = (member.armed == 0) & (learner.outputs[robot.force].wpn == 1) & (team.armed > 0)
-    return team.slowest if keeps & (team.slowest < member.speed_mm) else member.speed_mm
+    slowest = lane.teams[robot.team].slowest
+    if slowest < member.speed_mm and member.armed == 0 and learner.outputs[robot.out].wpn == 1:
+        return slowest
+    return member.speed_mm
 
 
 @inline
-def arrive(world, lane, r):
+def arrive(world, rules, lane, r):
     """Take a robot in at the end of its corridor (rules 2 and 12)."""
     robot, count = lane.robots[r], lane.count[0]
     half = world.halves[np.uint64(robot.half)]
@@ -536,49 +509,67 @@ def arrive(world, lane, r):
     if lane.visited[half.edge] == 0:
         lane.visited[half.edge] = 1
         count.edges_left -= 1
-    if lane.sites[half.to].unsearched > 0 and lane.places[half.to].first < 0:
+    if put_in(lane, r, half.to):
+        touch(lane, half.to)
+        return
+    if lane.sites[half.to].unsearched > 0:
         lane.rooms[count.rooms_open] = half.to
         count.rooms_open += 1
-    put_in(lane, r, half.to)
+    stay_alone(world, rules, lane, r)
+    schedule(lane, r, count.tick + 1, 1)
 
 
 @inline
-def move(world, learner, lane):
-    """Send off those of the awake who leave, and take in who arrives."""
+def depart(world, rules, learner, lane, r):
+    """Send a robot into the corridor that it chose, by its first step."""
+    robot, tick = lane.robots[r], lane.count[0].tick
+    place = world.nodes.shape[0] + robot.next
+    stays_alone = lane.teams[robot.team].size == 1
+    take_out(lane, r, robot.node)
+    robot.half = robot.next
+    robot.next = -1
+    robot.passed = robot.pace = _speed(world, learner, lane, r)
+    robot.planned = tick
+    robot.arrives = _end_of_way(world, robot, tick)
+    stays_alone &= not put_in(lane, r, place)
+    if robot.arrives == tick:  # the corridor is so short
+        lane.agenda[slot(tick, r >> 6, 0)] |= bit_of(r)
+    elif stays_alone:
+        sleep(rules, lane, r)
+    else:
+        touch(lane, place)
+
+
+@inline
+def _end_of_way(world, robot, tick):
+    """Return the tick at which a robot that goes on at its pace has come through its corridor."""
+    pace, way = np.uint64(robot.pace), np.uint64(world.halves[np.uint64(robot.half)].cost_mm - robot.passed)
+    return tick + np.int64((way + pace - np.uint64(1)) // pace)
+
+
+@inline
+def move(world, rules, learner, lane):
+    """Send off those who leave and were not held up, and take in who arrives."""
     robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
-    tick, n_moving = count.tick, count.moving
-    for i in range(count.awake):
-        r = lane.awake[i]
-        robot = robots[r]
-        if robot.alive == 0:
-            continue
-        if robot.next >= 0:
-            take_out(lane, r, robot.node)
-            robot.half = robot.next
-            robot.next = -1
-            robot.passed = _speed(world, learner, lane, r)
-            robot.planned = tick
-            put_in(lane, r, n_nodes + robot.half)
-            if robot.passed >= world.halves[np.uint64(robot.half)].cost_mm:  # the corridor is so short
-                robot.arrives = tick
-                lane.moving[np.uint64(n_moving)] = r
-                n_moving += 1
-        elif robot.half < 0:
-            touch(lane, robot.node)
+    for i in range(count.leaving):
+        r = lane.leaving[i]
+        if robots[r].next >= 0:
+            depart(world, rules, learner, lane, r)
         else:
-            lane.moving[np.uint64(n_moving)] = r
-            n_moving += 1
-        # what was decided in mid-corridor takes effect from the next step on
-        robot.force = robot.out
-    for i in range(n_moving):
-        r = lane.moving[i]
-        robot = robots[r]
-        place = n_nodes + robot.half
-        if robot.arrives <= tick:
-            take_out(lane, r, place)
-            arrive(world, lane, r)
-        else:
-            touch(lane, place)
+            touch(lane, robots[r].node)
+    for word in range(words(lane)):
+        bits = lane.agenda[slot(count.tick, word, 0)]
+        while bits != 0:
+            r = lowest_robot(word, bits)
+            bits &= bits - np.uint64(1)
+            place = n_nodes + robots[r].half
+            if robots[r].arrives <= count.tick:
+                take_out(lane, r, place)
+                arrive(world, rules, lane, r)
+            else:
+                touch(lane, place)
+        lane.agenda[slot(count.tick, word, 0)] = 0
+        lane.agenda[slot(count.tick, word, 1)] = 0
 
 
 # --- who is where ------------------------------------------------------------------------------------------------
@@ -596,15 +587,15 @@ def touch(lane, place):
 
 @inline
 def put_in(lane, r, place):
-    """Enter a robot in the list of those at a place."""
+    """Enter a robot in the list of those at a place; return whether there are others."""
     place = np.uint32(place)
     robot, first = lane.robots[r], lane.places[place].first
     robot.before = -1
     robot.after = first
     if first >= 0:
-        lane.robots[first].before = r
+        lane.robots[np.uint64(first)].before = r
     lane.places[place].first = r
-    touch(lane, place)
+    return first >= 0
 
 
 @inline
@@ -661,7 +652,7 @@ def team_at(slots, tick, place, passed, fresh):
 @inline
 def form_teams(world, rules, lane, place):
     """Find the teams at a place (rule 4), numbered by one of their members; pool their maps (rule 12)."""
-    robots, teams, maps = lane.robots, lane.teams, lane.maps
+    robots, maps = lane.robots, lane.maps
     at_node, first = place < world.nodes.shape[0], lane.places[place].first
     differ = False
     r = first
@@ -669,20 +660,13 @@ def form_teams(world, rules, lane, place):
         robot = robots[r]
         t = np.uint32(first)
         if not at_node:
-            _come_along(lane, robot)
-            t = team_at(lane.slots, lane.count[0].tick, place, robot.passed, np.uint32(r))
-        team = teams[t]
+            come_along(lane, robot)
+            if robot.passed != robots[first].passed:
+                t = team_at(lane.slots, lane.count[0].tick, place, robot.passed, np.uint32(r))
         if t == r:
-            found_team(world, lane, r)
+            found_team(world, rules, lane, r)
         else:
-            robot.team = t
-            team.lead = min(team.lead, np.uint32(r))
-            team.size += 1
-            member = world.members[r]
-            if member.armed == 1:
-                if team.armed == 0 or member.speed_mm < team.slowest:
-                    team.slowest = member.speed_mm
-                team.armed += 1
+            join_team(world, rules, lane, r, t)
             if rules.share_map == SHARE_TEAM:
                 for w in range(maps.shape[1]):
                     differ |= maps[r, w] != maps[t, w]
@@ -692,23 +676,50 @@ def form_teams(world, rules, lane, place):
 
 
 @inline
-def _come_along(lane, robot):
+def come_along(lane, robot):
     """Bring up to date how far a robot has come along its corridor."""
     robot.passed += robot.pace * (lane.count[0].tick - robot.planned)
     robot.planned = lane.count[0].tick
 
 
 @inline
-def found_team(world, lane, r):
+def stay_alone(world, rules, lane, r):
+    """See to it that robot r is a team of its own."""
+    if (lane.robots[r].team != r) | (lane.teams[r].size > 1):
+        found_team(world, rules, lane, r)
+
+
+@inline
+def found_team(world, rules, lane, r):
     """Make robot r a team of its own, which has its number."""
     team, member = lane.teams[r], world.members[r]
-    if lane.robots[r].team == r and team.size == 1:
-        return
     lane.robots[r].team = r
     team.lead = r
     team.size = 1
-    team.armed = member.armed
-    team.slowest = member.speed_mm
+    team.armed = 0
+    team.slowest = NEVER
+    team.weapons = 0
+    if member.armed == 1:
+        arm(rules, team, member)
+
+
+@inline
+def join_team(world, rules, lane, r, t):
+    """Take robot r into team t."""
+    team, member = lane.teams[t], world.members[r]
+    lane.robots[r].team = t
+    team.lead = min(team.lead, np.uint32(r))
+    team.size += 1
+    if member.armed == 1:
+        arm(rules, team, member)
+
+
+@inline
+def arm(rules, team, member):
+    """Count a weapon robot in a team: how many there are for the inputs, and how fast the slowest is."""
+    team.armed += 1
+    team.slowest = min(team.slowest, member.speed_mm)
+    team.weapons = 1 if team.armed < rules.weapons_needed else 2
 
 
 @inline
@@ -756,60 +767,79 @@ def regroup(world, rules, learner, lane, place):
     first = lane.places[place].first
     if first < 0:
         return
-    if lane.robots[first].after < 0:
-        _come_along(lane, lane.robots[first])
-        found_team(world, lane, np.uint32(first))
-        plan(world, rules, learner, lane, np.uint32(first))
+    r = np.uint32(first)
+    if lane.robots[r].after < 0:
+        stay_alone(world, rules, lane, r)
+        plan(world, rules, learner, lane, r)
         return
     form_teams(world, rules, lane, place)
-    r = first
-    while r >= 0:
-        plan(world, rules, learner, lane, np.uint32(r))
-        r = lane.robots[r].after
+    while first >= 0:
+        plan(world, rules, learner, lane, np.uint32(first))
+        first = lane.robots[np.uint64(first)].after
     if place >= world.nodes.shape[0]:
-        foresee_meetings(lane, first)
+        foresee_meetings(lane, r)
+
+
+# --- who wakes when -----------------------------------------------------------------------------------------------
 
 
 @inline
 def plan(world, rules, learner, lane, r):
-    """Find a robot's input, and foresee the tick at which it must be looked at again: it *wakes* then.
+    """Find a robot's pace anew, and when it wakes."""
+    robot = lane.robots[r]
+    cancel(lane, r)
+    if robot.half >= 0:
+        pace = _speed(world, learner, lane, r) if robot.going == 1 else np.int64(0)
+        if pace != robot.pace:
+            come_along(lane, robot)
+            robot.pace = pace
+            robot.arrives = _end_of_way(world, robot, robot.planned) if pace > 0 else NEVER
+    sleep(rules, lane, r)
+
+
+@inline
+def sleep(rules, lane, r):
+    """Foresee the tick at which a robot must be looked at again: it *wakes* then.
 
     Until then it only moves on by its pace. It wakes to decide, for want of patience or since its input has changed, to
     arrive, and where it begins or ends to stop at a feature. What others do to it later (alerts, fights, comings and
     goings at its place) has its place planned anew.
     """
     robot, tick = lane.robots[r], lane.count[0].tick
-    sense(world, rules, lane, r)
-    wakes = robot.decided + rules.patience
-    if robot.half >= 0:
-        robot.pace = 0
-        robot.arrives = NEVER
-        if learner.outputs[robot.force].mv == 1:
-            pace = _speed(world, learner, lane, r)
-            robot.pace = pace
-            way = np.uint64(world.halves[np.uint64(robot.half)].cost_mm - robot.passed + pace - 1)
-            robot.arrives = tick + np.int64(way // np.uint64(pace))
+    if robot.due == 0:
+        wakes, decides, row = robot.decided + rules.patience, np.int64(1), _row_of(lane, robot)
+        if robot.half >= 0:
+            decides = np.int64(wakes <= robot.arrives)
             wakes = min(wakes, robot.arrives)
-    elif robot.due == 0:
-        if _moves(learner, robot):
-            if lane.sites[robot.node].unsearched == 0:
+        else:
+            site = lane.sites[robot.node]
+            row += site.faced
+            if robot.going & (site.unsearched == 0) | (stops(robot, site) != robot.stopping):
                 wakes = tick + 1
-        elif _stops(world, learner, lane, robot) != robot.stopping:
-            wakes = tick + 1
-    lane.wakes[r] = tick + 1 if robot.due == 1 else wakes
+        if row == robot.row:
+            # what is further off than the agenda reaches wakes it earlier, for nothing
+            schedule(lane, r, min(wakes, tick + AGENDA - 1), decides)
+            return
+        robot.due = 1  # rule 6; the row itself is noted when it decides
+    schedule(lane, r, tick + 1, 1)
 
 
 @inline
 def foresee_meetings(lane, first):
     """Wake robots of one corridor when two of them meet or part."""
-    classes, tick, n_classes = lane.classes, lane.count[0].tick, 0
-    r = first
-    while r >= 0:
-        robot = lane.robots[r]
-        wakes, pace = lane.wakes[np.uint64(r)], robot.pace
+    robots, classes, tick, n_classes = lane.robots, lane.classes, lane.count[0].tick, 1
+    classes[0, 0], classes[0, 1] = robots[first].passed, robots[first].pace
+    after = robots[first].after
+    while after >= 0:
+        r = np.uint32(after)
+        robot = robots[r]
+        wakes, passed, pace = robot.wakes, robot.passed, robot.pace
+        after = robot.after
+        if passed == classes[0, 0] and pace == classes[0, 1]:
+            continue
         known = False
         for c in range(n_classes):
-            gap, faster = classes[c, 0] - robot.passed, pace - classes[c, 1]
+            gap, faster = classes[c, 0] - passed, pace - classes[c, 1]
             if gap == 0 and faster == 0:
                 known = True
                 break
@@ -818,13 +848,60 @@ def foresee_meetings(lane, first):
             elif faster != 0 and (gap > 0) == (faster > 0) and gap % faster == 0:
                 wakes = min(wakes, tick + gap // faster)
         if not known and n_classes < classes.shape[0]:
-            classes[n_classes, 0] = robot.passed
+            classes[n_classes, 0] = passed
             classes[n_classes, 1] = pace
             n_classes += 1
         elif not known:
             wakes = tick + 1
-        lane.wakes[np.uint64(r)] = wakes
-        r = robot.after
+        if wakes < robot.wakes:
+            cancel(lane, r)
+            schedule(lane, r, wakes, 0)
+
+
+@inline
+def schedule(lane, r, tick, decides):
+    """Note that robot r, for whom nothing is noted, wakes at a tick: to decide or leave (1), or else to arrive (0).
+
+    The tick is at most ``AGENDA - 1`` ahead.
+    """
+    lane.robots[r].wakes = tick
+    lane.agenda[slot(tick, r >> 6, decides)] |= bit_of(r)
+
+
+@inline
+def cancel(lane, r):
+    """Strike out that robot r wakes later than now."""
+    wakes = lane.robots[r].wakes
+    if wakes > lane.count[0].tick:
+        lane.agenda[slot(wakes, r >> 6, 0)] &= ~bit_of(r)
+        lane.agenda[slot(wakes, r >> 6, 1)] &= ~bit_of(r)
+
+
+@inline
+def slot(tick, word, decides):
+    """Return where the agenda has a tick's bits: of robots 64 * word and following, to decide (1) or to arrive (0)."""
+    return np.uint64((((word * AGENDA) | (tick & (AGENDA - 1))) << 1) | decides)
+
+
+@inline
+def words(lane):
+    """Return how many words of 64 bits hold one for each robot."""
+    return lane.agenda.shape[0] // (2 * AGENDA)
+
+
+@inline
+def bit_of(r):
+    """Return the uint64 that has robot r's bit of its word."""
+    return np.uint64(1) << np.uint64(r & 63)
+
+
+@inline
+def lowest_robot(word, bits):
+    """Return the number of the first robot of a word that has its bit; there is one."""
+    return np.uint32(word << 6) + np.uint32(lowest_bit(bits))
+
+
+# --- a step -------------------------------------------------------------------------------------------------------
 
 
 @inline
@@ -838,7 +915,8 @@ def _step(world, rules, learner, lane):
     count.robot_steps += count.alive
     count.touched = 0
     count.arrivals = 0
-    wake(rules, lane)
+    if rules.by_team == 1:
+        wake_teams(rules, lane)
     began = decide(world, rules, learner, lane)
     if count.outside > 0:
         return OUTSIDE
@@ -846,7 +924,7 @@ def _step(world, rules, learner, lane):
         alert(world, rules, lane, began)
     if leave(world, rules, learner, lane):
         encounter(world, rules, learner, lane)
-    move(world, learner, lane)
+    move(world, rules, learner, lane)
     search(lane)
     for i in range(count.touched):
         regroup(world, rules, learner, lane, lane.touched[i])
@@ -874,9 +952,8 @@ def _lane(lanes, i):
         lanes.robots[i],
         lanes.given[i],
         lanes.roster[i],
-        lanes.awake[i],
-        lanes.moving[i],
-        lanes.wakes[i],
+        lanes.agenda[i],
+        lanes.leaving[i],
         lanes.sites[i],
         lanes.places[i],
         lanes.touched[i],
@@ -891,7 +968,6 @@ def _lane(lanes, i):
         lanes.slots[i],
         lanes.classes[i],
         lanes.used[i],
-        lanes.pairs[i],
         lanes.shuffle[i],
         lanes.count[i],
         lanes.weights[i],
@@ -904,7 +980,9 @@ def _lane(lanes, i):
 def _show(world, rules, lane, steered, i):
     """Write out simulation i's inputs, who lives and who decides next; a lost robot keeps the last that it saw."""
     for k in range(lane.count[0].alive):
-        lane.robots[lane.roster[k]].seen = _seen(world, rules, lane, lane.roster[k])
+        r = lane.roster[k]
+        lane.robots[r].row = _input(lane, r)
+        lane.robots[r].seen = _seen(world, rules, lane, r)
     for r in range(lane.robots.shape[0]):
         steered.rows[i, r] = lane.robots[r].seen
         steered.alive[i, r] = lane.robots[r].alive
@@ -1008,8 +1086,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     count = lane.count[0]
     n_robots = world.members.shape[0]
     count.tick += 1
-    for k in range(count.used):
-        lane.used[lane.pairs[k]] = 0
+    lane.used[:] = 0
     count.step = 0
     count.alive = n_robots
     count.edges_left = lane.visited.shape[0]
@@ -1017,7 +1094,6 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     count.hostiles_left = rules.hostiles
     count.losses = 0
     count.messages = 0
-    count.used = 0
     count.outside = 0
     count.key = trial_key
     count.stopping = 0
@@ -1025,12 +1101,14 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     count.touched = 0
     lane.visited[:] = 0
     lane.maps[:] = 0
+    lane.agenda[:] = 0
     for v in range(world.nodes.shape[0]):
         site = lane.sites[v]
         site.hostile = 0
         site.resolved = 0
         site.stoppers = 0
         site.unsearched = world.search[v]
+        site.faced = world.nodes[v].feature - 1
     for place in range(lane.places.shape[0]):
         lane.places[place].first = -1
     place_hostiles(world, rules, lane, absorb(trial_key, 0) if rules.relocate == 1 else place_key)
@@ -1047,13 +1125,14 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.pace = 0
         robot.due = 1
         robot.decided = count.tick + 1  # the first decision falls due then
-        lane.wakes[r] = count.tick + 1
+        schedule(lane, np.uint32(r), count.tick + 1, 1)
         robot.row = -1
         robot.seen = -1
         robot.arrived = 0
         robot.pair_row = 0
         robot.out = 0
-        robot.force = 0
+        robot.going = 0
+        robot.goal = -1
         robot.repelled = 0
         robot.crossing = 0
         robot.stopping = 0
@@ -1065,8 +1144,6 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.choices = 0
         put_in(lane, r, rules.start)
     form_teams(world, rules, lane, rules.start)
-    for r in range(n_robots):
-        sense(world, rules, lane, r)
     count.rooms_open = 1 if world.search[rules.start] > 0 else 0
     lane.rooms[0] = rules.start
 
@@ -1086,9 +1163,12 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
         signal = inverted
         if learner.time_signal == TIME_BASELINE:
             signal = _against_mean(learner.time_reward, steps, rules.limit, mean_steps)
-        n_outputs = lane.weights.shape[1]
-        for k in range(count.used):
-            reinforce(learner, lane, lane.pairs[k] // n_outputs, lane.pairs[k] % n_outputs, signal)
+        for row in range(lane.used.shape[0]):
+            for word in range(lane.used.shape[1]):
+                bits = lane.used[row, word]
+                while bits != 0:
+                    reinforce(learner, lane, row, np.int64(lowest_bit(bits)) + 64 * word, signal)
+                    bits &= bits - np.uint64(1)
     return steps
 
 

@@ -17,34 +17,39 @@ def _record(**fields: str) -> np.dtype:
 
 
 # Numbers that index something are unsigned, where they are never -1: the compiler then need not ask for negative ones.
-NODE = _record(x="f8", y="f8", feature="i8", first="i8", last="i8", near_first="u4", near_last="u4")
+NODE = _record(x="f8", y="f8", feature="i8", first="u4", last="u4", near_first="u4", near_last="u4")
 HALF = _record(to="u4", edge="u4", cost_mm="i8", coverage="f8")
 MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
-ROBOT = _record(
-    alive="i8", node="u4", half="i8", next="i8", came="i8", passed="i8", pace="i8",  # half, next, came: -1 for none
-    due="i8", decided="i8", row="i8", pair_row="u4", out="u4", force="u4", repelled="i8", crossing="i8",
-    dl="i8", alert="i8", alarmed="i8", team="u4", decisions="i8", choices="i8",  # alarmed: what DL and GL add to `row`
-    planned="i8", arrives="i8", died="i8",  # like decided ticks; `passed` mm of the corridor lay behind it at `planned`
-    stopping="i8", listens="i8", after="i8", before="i8",
-    seen="i8", arrived="i8",  # its row of the mission's table at its last decision; the step in which it came to `node`
+ROBOT = _record(  # 128 bytes
+    decided="i8", planned="i8", arrives="i8", wakes="i8", died="i8",  # ticks
+    passed="i8", pace="i4",  # mm of its corridor that lay behind it at the tick `planned`, and mm per step
+    node="u4", half="i4", next="i4", came="i4",  # the last node; half, next, came: -1 for none
+    row="i4", seen="i4",  # at its last decision: its input of Table I, and its row of the mission's table
+    pair_row="u4", out="u4", decisions="u4", choices="u4",
+    team="u4", after="i4", before="i4", arrived="i4",  # the step in which it came to `node`
+    alert="i4", goal="i4", alarmed="i4",  # alarmed: what DL and GL add to the input
+    alive="u1", due="u1", going="u1", repelled="u1", crossing="u1", stopping="u1", listens="u1", dl="u1",
 )  # fmt: skip
 SITE = _record(
-    hostile="i8", resolved="i8", unsearched="i8", armed_crossing="i8", stoppers="i8",
-    crossed="i8", failed="i8", picking="i8", picks="i8",  # crossed, failed, picking: the tick at which it last was
+    crossed="i8", failed="i8", picking="i8",  # the tick at which it last was
+    faced="i4", unsearched="i4", armed_crossing="i4", stoppers="i4", picks="i4", hostile="u1", resolved="u1",
 )  # fmt: skip
-PLACE = _record(first="i8", touched="i8")  # a node, or N + a half-edge; the first robot there, -1 for none
-TEAM = _record(lead="u4", size="i8", armed="i8", slowest="i8", due="i8", learned="i8")
-SLOT = _record(tick="i8", place="i8", passed="i8", team="u4")
+PLACE = _record(touched="i8", first="i4")  # a node, or N + a half-edge; the first robot there, -1 for none
+TEAM = _record(slowest="i8", lead="u4", size="i4", armed="i4", weapons="u1", due="u1", learned="u1")
+SLOT = _record(tick="i8", passed="i8", place="u4", team="u4")
 COUNT = _record(
-    step="i8", alive="i8", awake="i8", moving="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8",
-    rooms_open="i8", hostiles_left="i8", losses="i8", cleared="i8", messages="i8", used="i8", tick="i8",
+    step="i8", alive="i8", leaving="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8",
+    rooms_open="i8", hostiles_left="i8", losses="i8", cleared="i8", messages="i8", tick="i8",
     robot_steps="i8", arrivals="i8", outside="i8", key="u8",
 )  # fmt: skip
 PAY = _record(progress="f8", loss="f8", success="f8", signal="f8", team_share="f8")  # what a steered simulation rewards
 
 #: Classes of robots in one corridor, by progress and pace, whose meetings are foreseen; with more it is watched.
 CLASSES = 8
+
+#: Ticks ahead for which it is noted who wakes, a power of two.
+AGENDA = 64
 
 
 class World(NamedTuple):
@@ -89,6 +94,7 @@ class Learner(NamedTuple):
     outputs: Any  # OUTPUT (A,)
     signal: Any  # float64 (S, A): local signals
     learn: int
+    at_once: int  # 1: signals change weights as they come
     sweep_all: int  # 1: one output per trial, credited in every input at the end
     greedy: float  # probability of taking the heaviest output: 0 exploration, 1 exploitation
     floor: float
@@ -104,9 +110,8 @@ class Lane(NamedTuple):
     robots: Any  # ROBOT (R,)
     given: Any  # int64 (R,): the output of each robot's next decisions, -1: drawn
     roster: Any  # uint32 (R,): the living, ascending, first `count.alive` entries
-    awake: Any  # uint32 (R,): those of them that are looked at in this step, ascending, first `count.awake` entries
-    moving: Any  # uint32 (R,): those who are under way and have nothing to decide, first `count.moving` entries
-    wakes: Any  # int64 (R,): the tick at which each must be looked at again
+    agenda: Any  # uint64: of each tick to come, modulo AGENDA, a bit for each robot that wakes then, see `kernel.slot`
+    leaving: Any  # uint32 (R,): the awake who leave their node, first `count.leaving` entries
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
     touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries
@@ -120,12 +125,11 @@ class Lane(NamedTuple):
     teams: Any  # TEAM (R,): at the number of one of its members
     slots: Any  # SLOT (power of two, at least 2 R,): hash of places to teams
     classes: Any  # int64 (CLASSES, 2): scratch, progress and pace
-    used: Any  # uint8 (S * A,): 1 for each pair that was used in this trial
-    pairs: Any  # int32 (S * A,): the pairs used in this trial, in order of first use
+    used: Any  # uint64 (S, words): of each row, a bit for each output that was used in this trial
     shuffle: Any  # uint32: scratch for placing hostiles
     count: Any  # COUNT (1,)
     weights: Any  # float64 (S, A)
-    sums: Any  # float64 (S, A): running sums of each row's weights, up to the first stale one
+    sums: Any  # float64 (S, more than A): running sums of each row's weights, see `choice.sum_up`
     stale: Any  # int64 (S,): the first output whose sum is not up to date, A: none
 
 

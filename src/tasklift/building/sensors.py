@@ -18,9 +18,7 @@ __all__ = ["uniform"]
 @inline
 def goal(rules, robot):
     """Return the node that a robot heads for, -1 without a goal."""
-    if robot.dl == 2 or (robot.dl == 1 and rules.suspicion_goal == 1):
-        return robot.alert
-    return np.int64(-1)
+    return robot.goal
 
 
 @inline
@@ -38,16 +36,14 @@ def goal_known(world, rules, lane, r, numbers):
 @inline
 def weapon_robots(world, rules, lane, r, numbers):
     """nWPN: no weapon robot in the team, fewer than m, enough."""
-    armed = lane.teams[lane.robots[r].team].armed
-    return 0 if armed == 0 else (1 if armed < rules.weapons_needed else 2)
+    return lane.teams[lane.robots[r].team].weapons
 
 
 @inline
 def feature_faced(world, rules, lane, r, numbers):
     """FTR: the class of the unresolved feature at which the robot is."""
     robot = lane.robots[r]
-    unresolved = (robot.half < 0) & (lane.sites[robot.node].resolved == 0)
-    return (world.nodes[robot.node].feature - 1) * unresolved
+    return lane.sites[robot.node].faced if robot.half < 0 else np.int64(0)
 
 
 @inline

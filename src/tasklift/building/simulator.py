@@ -26,6 +26,7 @@ from tasklift.errors import TaskliftError
 from tasklift.learning.chances import SWEEP_STAGE, TARGET_STAGE
 from tasklift.learning.reinforcement import Reinforcement
 from tasklift.processes import cores
+from tasklift.tasks.choice import room_for_sums
 from tasklift.tasks.policy import Policy, greedy_share
 from tasklift.tasks.task import Task
 from tasklift.text import shown
@@ -191,9 +192,8 @@ class Simulator:
             robots=np.zeros(n_robots, layout.ROBOT),
             given=np.full(n_robots, -1, np.int64),
             roster=np.zeros(n_robots, np.uint32),
-            awake=np.zeros(n_robots, np.uint32),
-            moving=np.zeros(n_robots, np.uint32),
-            wakes=np.zeros(n_robots, np.int64),
+            agenda=np.zeros((n_robots + 63) // 64 * layout.AGENDA * 2, np.uint64),
+            leaving=np.zeros(n_robots, np.uint32),
             sites=np.zeros(n_nodes, layout.SITE),
             places=np.zeros(n_nodes + n_halves, layout.PLACE),
             touched=np.zeros(n_nodes + n_halves, np.uint32),
@@ -207,12 +207,11 @@ class Simulator:
             teams=np.zeros(n_robots, layout.TEAM),
             slots=np.zeros(1 << (2 * n_robots - 1).bit_length(), layout.SLOT),
             classes=np.zeros((layout.CLASSES, 2), np.int64),
-            used=np.zeros(math.prod(shape), np.uint8),
-            pairs=np.zeros(math.prod(shape), np.int32),
+            used=np.zeros((shape[0], (shape[1] + 63) // 64), np.uint64),
             shuffle=np.zeros(len(self.world.candidates), np.uint32),
             count=np.zeros(1, layout.COUNT),
             weights=np.zeros(shape),
-            sums=np.zeros(shape),
+            sums=np.full((shape[0], room_for_sums(shape[1])), np.inf),
             stale=np.zeros(shape[0], np.int64),
         )
 
@@ -268,7 +267,7 @@ class Simulator:
         sizes = self._sizes[:3]
         if not isinstance(lane, layout.Lane) or (len(lane.robots), len(lane.sites), len(lane.visited)) != sizes:
             raise TaskliftError("simulator: expected a lane that this simulator's `lane` allocated")
-        if lane.sums.shape != lane.weights.shape:
+        if lane.sums.shape != (lane.weights.shape[0], room_for_sums(lane.weights.shape[1])):
             raise TaskliftError("simulator: the lane's weights have another shape than it was allocated for")
 
     # --- running ------------------------------------------------------------------------------------------------
@@ -626,6 +625,7 @@ def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool
         outputs=outputs,
         signal=np.ascontiguousarray(task.signal_table(impossible=not sweep_all), np.float64),
         learn=int(learn),
+        at_once=int(learn and not sweep_all),
         sweep_all=int(sweep_all),
         greedy=greedy_share(reinforcement.selection, reinforcement.q),
         floor=float(reinforcement.floor),

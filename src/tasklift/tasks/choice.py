@@ -43,31 +43,57 @@ def draw(weights, u):  # type: ignore[no-untyped-def]
     return last
 
 
-def draw_summed(weights, sums, u):  # type: ignore[no-untyped-def]
-    """Return what :func:`draw` returns, given the running sums of the weights, added from left to right.
+def room_for_sums(n):  # type: ignore[no-untyped-def]
+    """Return how many numbers :func:`sum_up` keeps for ``n`` weights."""
+    return (n // 8 + 1) * 8 + (n // 64 + 1) * 8
 
-    Weights are not negative, so the sums do not fall, and the index is found by halving. Whoever keeps the sums
-    between draws saves adding them up.
+
+def sum_up(weights, sums, first):  # type: ignore[no-untyped-def]
+    """Bring the running sums of the weights up to date from entry ``first`` on.
+
+    The last sum of each full block of eight is kept once more, behind all sums. What is not used there is infinite.
+    """
+    running = sums[first - 1] if first > 0 else 0.0
+    for i in range(first, len(weights)):
+        running += weights[i]
+        sums[i] = running
+    lasts = len(weights) // 8 * 8 + 8
+    for block in range(first // 8, len(weights) // 8):
+        sums[lasts + block] = sums[8 * block + 7]
+
+
+def draw_summed(weights, sums, u):  # type: ignore[no-untyped-def]
+    """Return what :func:`draw` returns, given what :func:`sum_up` keeps.
+
+    Weights are not negative, so the sums do not fall: the index is the number of sums at or below the target. Counting
+    takes no branch that a processor could guess wrong.
     """
     n = len(weights)
     if sums[n - 1] <= 0.0:
         even = int(u * n)
         return even if even < n else n - 1
     target = u * sums[n - 1]
-    low = 0
-    high = n
-    while low < high:
-        middle = (low + high) // 2
-        if target < sums[middle]:
-            high = middle
-        else:
-            low = middle + 1
-    if low < n:
-        return low
+    lasts = n // 8 * 8 + 8
+    block = at_or_below(sums, lasts, target)
+    following = 8
+    while block == following:
+        block += at_or_below(sums, lasts + block, target)
+        following += 8
+    found = 8 * block + at_or_below(sums, 8 * block, target)
+    if found < n:
+        return found
     last = n - 1
     while weights[last] <= 0.0:
         last -= 1
     return last
+
+
+def at_or_below(rising, first, target):  # type: ignore[no-untyped-def]
+    """Return how many of eight numbers that do not fall, from entry ``first`` on, are at or below ``target``."""
+    found = 0
+    for i in range(first, first + 8):
+        found += rising[i] <= target
+    return found
 
 
 def heaviest(weights, u):  # type: ignore[no-untyped-def]

@@ -15,7 +15,7 @@ from tasklift.learning.reinforcement import Reinforcement
 readings = st.builds(
     Reading,
     decide=st.sampled_from(["robot", "team"]),
-    patience=st.sampled_from([1, 2, 7, 60]),
+    patience=st.sampled_from([1, 2, 7, 60, 90]),
     split=st.sampled_from(["robots", "pairs", "team"]),
     turn_back=st.booleans(),
     explore=st.sampled_from(["unvisited-first", "memoryless"]),

@@ -43,8 +43,8 @@ def drawn_shares(building, node, goal, ca, sharpness, closed=()):
     lane = simulator.lane(task.shape)
     simulator.begin_trial(lane, seed=3, stage=2, trial=0)
     robot = lane.robots[0]
-    robot["node"], robot["dl"], robot["alert"] = node, 2, goal
-    robot["force"] = task.output_index({"MV": 1, "WPN": 0, "CA": ca})
+    robot["node"], robot["goal"] = node, goal
+    robot["out"] = task.output_index({"MV": 1, "WPN": 0, "CA": ca})
     degree = int(building.degree[node])
     ways = [way for way in range(degree) if way not in closed]
     lane.open[: len(ways)] = building.indptr[node] + np.array(ways)

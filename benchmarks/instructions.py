@@ -2,6 +2,8 @@
 
 ``make instructions`` counts and compares with ``benchmarks/instructions.json``: more than 10 % above fails.
 ``make instructions ARGS=--record`` writes the file anew; say why in the changelog.
+``make instructions ARGS=--parts`` shows by source function where they go in the first episodes, and where valgrind's
+simulated processor guesses branches wrong.
 
 The count is the difference between runs of 1,042 and 42 episodes (trials) of the paper's mission, learning from equal
 weights, so that the start of Python and of Numba cancels out. The kernel is compiled for a generic processor: valgrind
@@ -11,6 +13,7 @@ shows programs another processor than the machine has, and counts would differ b
 from __future__ import annotations
 
 import argparse
+import ast
 import json
 import os
 import pickle
@@ -19,6 +22,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from bisect import bisect_right
+from collections import Counter
 from pathlib import Path
 
 FEW, MANY = 42, 1042
@@ -28,8 +33,11 @@ RECORD = Path(__file__).with_suffix(".json")
 GENERIC = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "PYTHONHASHSEED": "0"}
 
 
-def work(file: str, episodes: int) -> None:
-    """Run episodes of a dumped mission and print the number of robot-steps; what valgrind watches."""
+def work(file: str, episodes: int, machine_code: Path | None = None) -> None:
+    """Run episodes of a dumped mission and print the number of robot-steps; what valgrind watches.
+
+    Prints also the address of the compiled code, and writes that to a file if it has just been compiled.
+    """
     import numpy as np
 
     from tasklift.building.inputs import kernel_for
@@ -40,7 +48,11 @@ def work(file: str, episodes: int) -> None:
     jobs, done = np.array([[0, 0, episodes]]), np.zeros((1, 2), np.int64)
     weights, drawn = np.full((1, *lane.weights.shape), 1.5), np.full(episodes, -1)
     kernel.run(world, rules, learner, lane, keys, 0, drawn, -1, weights, jobs, table, left, done)
-    print(int(lane.count["robot_steps"][0]))
+    compiled = next(iter(kernel.run.overloads.values()))
+    name = compiled.fndesc.llvm_func_name
+    print(int(lane.count["robot_steps"][0]), compiled.library.get_pointer_to_function(name), name)
+    if machine_code is not None:
+        machine_code.write_bytes(compiled.library._get_compiled_object())
 
 
 def at_start(world, rules, lane, r, numbers):  # type: ignore[no-untyped-def]
@@ -74,7 +86,7 @@ def run(file: Path, episodes: int, watched: bool) -> tuple[int, int]:
         command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *command]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | GENERIC)
     counted = re.search(r"Collected : (\d+)", done.stderr)
-    return int(counted[1]) if counted else 0, int(done.stdout)
+    return int(counted[1]) if counted else 0, int(done.stdout.split()[0])
 
 
 def count(workload: str) -> float:
@@ -87,16 +99,69 @@ def count(workload: str) -> float:
     return (many - few) / (many_steps - few_steps)
 
 
+def parts(workload: str) -> None:
+    """Print how many instructions and wrongly guessed branches of a robot-step each source function takes."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        environment = os.environ | GENERIC | {"NUMBA_DEBUGINFO": "1", "NUMBA_CACHE_DIR": str(folder / "cache")}
+        dump(workload, folder / "workload")
+        worker = [sys.executable, __file__, "--work", str(folder / "workload")]
+        subprocess.run([*worker, "1", str(folder / "code.o")], check=True, env=environment, capture_output=True)
+        watch = ["valgrind", "--tool=callgrind", "--dump-instr=yes", "--branch-sim=yes", "--compress-pos=no",
+                 f"--callgrind-out-file={folder / 'counts'}", *worker, str(2 * FEW)]  # fmt: skip
+        watched = subprocess.run(watch, check=True, env=environment, capture_output=True, text=True)
+        steps, address, symbol = watched.stdout.split()
+        owners = _owners(folder / "code.o", symbol)
+        counts = re.findall(r"^0x([0-9a-f]+) \S+ (\d+)((?: \d+)*)$", (folder / "counts").read_text(), re.MULTILINE)
+    instructions: Counter[str] = Counter()
+    wrong: Counter[str] = Counter()
+    for at, executed, branches in counts:
+        owner = owners.get(int(at, 16) - int(address))
+        if owner is not None:
+            instructions[owner] += int(executed)
+            wrong[owner] += int([*branches.split(), "0", "0"][1])  # branches, and those guessed wrong
+    for owner, number in [("all", instructions.total()), *instructions.most_common()]:
+        guessed = wrong.total() if owner == "all" else wrong[owner]
+        print(f"{workload}: {number / int(steps):6.1f} instructions, {guessed / int(steps):.2f} wrong guesses  {owner}")
+
+
+def _owners(code: Path, symbol: str) -> dict[int, str]:
+    """Return the source function of each instruction of a symbol, by its distance from the symbol's start."""
+    source = Path(__file__).parents[1] / "src" / "tasklift"
+    functions: dict[str, list[tuple[int, str]]] = {}
+    for file in [*source.glob("building/*.py"), source / "tasks" / "choice.py"]:
+        nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef)]
+        functions[file.name] = sorted((node.lineno, node.name) for node in nodes)
+    listing = subprocess.run(["objdump", "-d", "-l", str(code)], check=True, capture_output=True, text=True).stdout
+    owners: dict[int, str] = {}
+    start, owner = None, "elsewhere"
+    for line in listing.splitlines():
+        if found := re.match(r"([0-9a-f]+) <(.*)>:$", line):
+            start = int(found[1], 16) if found[2] == symbol else None
+        elif found := re.match(r"\S*?([^/\s]+\.py):(\d+)", line):
+            known = functions.get(found[1], [])
+            k = bisect_right(known, (int(found[2]), "~"))
+            owner = known[k - 1][1] if k else "elsewhere"
+        elif start is not None and (found := re.match(r"\s+([0-9a-f]+):\t", line)):
+            owners[int(found[1], 16) - start] = owner
+    return owners
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--record", action="store_true", help="write the counts into the file")
-    parser.add_argument("--work", nargs=2, metavar=("FILE", "EPISODES"), help=argparse.SUPPRESS)
+    parser.add_argument("--parts", action="store_true", help="show where the instructions of two workloads go")
+    parser.add_argument("--work", nargs="+", metavar="FILE", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
-        work(options.work[0], int(options.work[1]))
+        work(options.work[0], int(options.work[1]), *map(Path, options.work[2:]))
         return
     if shutil.which("valgrind") is None:
         sys.exit("instructions: needs valgrind; install it, for example with: apt-get install valgrind")
+    if options.parts:
+        for workload in WORKLOADS[:2]:
+            parts(workload)
+        return
     found = {workload: round(count(workload), 1) for workload in WORKLOADS}
     recorded = json.loads(RECORD.read_text()) if RECORD.exists() else {}
     for workload, number in found.items():

@@ -392,7 +392,7 @@ def _read_certificate(path: Path) -> Any:
 
 
 def _few_episodes(document: Any) -> Any:
-    """Keep a mutated number of episodes from being played: a million of them is no fault."""
+    """Return the document with at most four episodes: a mutated one may ask for a million, which takes too long."""
     if isinstance(document, dict) and document.get("episodes") not in (0, -1, None):
         document["episodes"] = 4
     return document

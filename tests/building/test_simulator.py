@@ -162,6 +162,16 @@ def test_corridors_with_more_robots_than_are_foreseen_agree_too(patience):
     assert max(map(len, crowds)) > CLASSES
 
 
+def test_the_room_that_takes_longest_to_search_agrees_too():
+    building = Building(
+        "hangar", kind=[ROOM, FEATURE, ROOM], feature_class=[1, 4, 1], position_m=[(0, 0), (4, 0), (8, 0)],
+        area_m2=[12, 0, 1e6], obstacles=[0, 0, 10**6], edges=[(0, 1), (1, 2)], length_m=[4, 4], width_m=[2, 2], start=0,
+    )  # fmt: skip
+    mission = Mission(building, "2+2", hostiles=0, reading=Reading(search_rate_m2=0.001), weapons_needed=1, limit=40)
+    assert mission.simulator.world.search.max() == 10**9 + 10**6
+    agree(mission, Reinforcement(), weight_seed=0, seed=0, sweep=False, learn=True, trials=1)
+
+
 # --- whole runs --------------------------------------------------------------------------------------------------
 
 

@@ -392,9 +392,9 @@ def test_scripts_get_json(tasklift, building):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["tarin", "x"], "there is no command 'tarin'; did you mean 'train'?"),
-        (["map", "imprt"], "there is no command 'imprt'; did you mean 'import'?"),
-        (["runs", "42"], "there is no command '42'; expected one of compare, export, list, show"),
+        (["tarin", "x"], "unknown command 'tarin'; did you mean 'train'?"),
+        (["map", "imprt"], "unknown command 'imprt'; did you mean 'import'?"),
+        (["runs", "42"], "unknown command '42'; expected one of compare, export, list, show"),
         (["--versio"], "No such option '--versio'"),
     ],
 )

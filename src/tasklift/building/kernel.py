@@ -167,7 +167,7 @@ def wake_teams(rules, lane):
         r = lane.roster[i]
         robots[r].due = teams[robots[r].team].due
         if robots[r].due == 1:
-            lane.agenda[slot(count.tick, r >> 6, 1)] |= bit_of(r)
+            lane.agenda[page(count.tick, r >> 6, 1)] |= bit_of(r)
     for i in range(count.alive):
         teams[robots[lane.roster[i]].team].due = 0
 
@@ -187,7 +187,7 @@ def decide(world, rules, learner, lane):
     robots, count = lane.robots, lane.count[0]
     began, n_leaving = False, 0
     for word in range(words(lane)):
-        bits = lane.agenda[slot(count.tick, word, 1)]
+        bits = lane.agenda[page(count.tick, word, 1)]
         while bits != 0:
             r = lowest_robot(word, bits)
             bits &= bits - np.uint64(1)
@@ -196,7 +196,7 @@ def decide(world, rules, learner, lane):
                 take_output(world, rules, learner, lane, r)
             robot.crossing = 0
             if robot.half >= 0:
-                lane.agenda[slot(count.tick, word, 0)] |= bit_of(r)
+                lane.agenda[page(count.tick, word, 0)] |= bit_of(r)
                 continue
             site = lane.sites[robot.node]
             change = np.int64(stops(robot, site)) - robot.stopping
@@ -261,7 +261,7 @@ def alert(world, rules, lane, began):
             _listen(world, rules, lane, lane.roster[i])
     else:
         for word in range(words(lane)):
-            bits = lane.agenda[slot(count.tick, word, 1)]
+            bits = lane.agenda[page(count.tick, word, 1)]
             while bits != 0:
                 r = lowest_robot(word, bits)
                 bits &= bits - np.uint64(1)
@@ -533,7 +533,7 @@ def depart(world, rules, learner, lane, r):
     robot.arrives = _end_of_way(world, robot, tick)
     stays_alone &= not put_in(lane, r, place)
     if robot.arrives == tick:  # the corridor is so short
-        lane.agenda[slot(tick, r >> 6, 0)] |= bit_of(r)
+        lane.agenda[page(tick, r >> 6, 0)] |= bit_of(r)
     elif stays_alone:
         sleep(rules, lane, r)
     else:
@@ -558,7 +558,7 @@ def move(world, rules, learner, lane):
         else:
             touch(lane, robots[r].node)
     for word in range(words(lane)):
-        bits = lane.agenda[slot(count.tick, word, 0)]
+        bits = lane.agenda[page(count.tick, word, 0)]
         while bits != 0:
             r = lowest_robot(word, bits)
             bits &= bits - np.uint64(1)
@@ -568,8 +568,8 @@ def move(world, rules, learner, lane):
                 arrive(world, rules, lane, r)
             else:
                 touch(lane, place)
-        lane.agenda[slot(count.tick, word, 0)] = 0
-        lane.agenda[slot(count.tick, word, 1)] = 0
+        lane.agenda[page(count.tick, word, 0)] = 0
+        lane.agenda[page(count.tick, word, 1)] = 0
 
 
 # --- who is where ------------------------------------------------------------------------------------------------
@@ -865,7 +865,7 @@ def schedule(lane, r, tick, decides):
     The tick is at most ``AGENDA - 1`` ahead.
     """
     lane.robots[r].wakes = tick
-    lane.agenda[slot(tick, r >> 6, decides)] |= bit_of(r)
+    lane.agenda[page(tick, r >> 6, decides)] |= bit_of(r)
 
 
 @inline
@@ -873,12 +873,12 @@ def cancel(lane, r):
     """Strike out that robot r wakes later than now."""
     wakes = lane.robots[r].wakes
     if wakes > lane.count[0].tick:
-        lane.agenda[slot(wakes, r >> 6, 0)] &= ~bit_of(r)
-        lane.agenda[slot(wakes, r >> 6, 1)] &= ~bit_of(r)
+        lane.agenda[page(wakes, r >> 6, 0)] &= ~bit_of(r)
+        lane.agenda[page(wakes, r >> 6, 1)] &= ~bit_of(r)
 
 
 @inline
-def slot(tick, word, decides):
+def page(tick, word, decides):
     """Return where the agenda has a tick's bits: of robots 64 * word and following, to decide (1) or to arrive (0)."""
     return np.uint64((((word * AGENDA) | (tick & (AGENDA - 1))) << 1) | decides)
 

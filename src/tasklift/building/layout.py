@@ -28,7 +28,7 @@ ROBOT = _record(  # 128 bytes
     row="i4", seen="i4",  # at its last decision: its input of Table I, and its row of the mission's table
     pair_row="u4", out="u4", decisions="u4", choices="u4",
     team="u4", after="i4", before="i4", arrived="i4",  # the step in which it came to `node`
-    alert="i4", goal="i4", alarmed="i4",  # alarmed: what DL and GL add to the input
+    alert="i4", goal="i4", alarmed="i4",  # the node that it heads for, -1 for none; what DL and GL add to the input
     alive="u1", due="u1", going="u1", repelled="u1", crossing="u1", stopping="u1", listens="u1", dl="u1",
 )  # fmt: skip
 SITE = _record(
@@ -110,8 +110,8 @@ class Lane(NamedTuple):
     robots: Any  # ROBOT (R,)
     given: Any  # int64 (R,): the output of each robot's next decisions, -1: drawn
     roster: Any  # uint32 (R,): the living, ascending, first `count.alive` entries
-    agenda: Any  # uint64: of each tick to come, modulo AGENDA, a bit for each robot that wakes then, see `kernel.slot`
-    leaving: Any  # uint32 (R,): the awake who leave their node, first `count.leaving` entries
+    agenda: Any  # uint64: of each tick to come, modulo AGENDA, a bit for each robot that wakes then: see `kernel.page`
+    leaving: Any  # uint32 (R,): who leaves its node in this step, ascending, first `count.leaving` entries
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
     touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries

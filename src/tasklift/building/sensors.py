@@ -16,12 +16,6 @@ __all__ = ["uniform"]
 
 
 @inline
-def goal(rules, robot):
-    """Return the node that a robot heads for, -1 without a goal."""
-    return robot.goal
-
-
-@inline
 def danger_level(world, rules, lane, r, numbers):
     """DL: nothing, suspected, attacked."""
     return lane.robots[r].dl
@@ -30,7 +24,7 @@ def danger_level(world, rules, lane, r, numbers):
 @inline
 def goal_known(world, rules, lane, r, numbers):
     """GL: whether the robot heads for a node."""
-    return 1 if goal(rules, lane.robots[r]) >= 0 else 0
+    return 1 if lane.robots[r].goal >= 0 else 0
 
 
 @inline
@@ -77,7 +71,7 @@ def unexplored_exits(world, rules, lane, r, numbers):
 def goal_distance(world, rules, lane, r, numbers):
     """FAR: without a goal, or the straight distance from the last node to it: below, from or beyond the two numbers."""
     robot = lane.robots[r]
-    to = goal(rules, robot)
+    to = robot.goal
     if to < 0:
         return 0
     dx = world.nodes[robot.node].x - world.nodes[to].x

@@ -438,7 +438,7 @@ class Simulator:
         """
         whole_number(n, "steered, n", 1, 1_000_000)
         one = self.lane(self.mission.task.shape)
-        # zeros cost no memory until they are written to; of a lane, only `given` begins with anything else
+        # zeros cost no memory until they are written to; `given` is written first, and `sums` is for drawn outputs only
         lanes = layout.Lane(*(np.zeros((n, *array.shape), array.dtype) for array in one))
         robots = (n, self.mission.n_robots)
         return layout.Steered(

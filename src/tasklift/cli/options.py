@@ -37,7 +37,7 @@ class Group(click.Group):
         if args[0] not in names and not args[0].startswith("-"):
             near = get_close_matches(args[0], names, 1)
             meant = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(names)}"
-            ctx.fail(f"there is no command {args[0]!r}; {meant}")
+            ctx.fail(f"unknown command {args[0]!r}; {meant}")
         return super().resolve_command(ctx, args)
 
 

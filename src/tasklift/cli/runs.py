@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tasklift.lab.runs import Table
 
 _path = click.Path(path_type=Path)
-#: Characters of the widest table where there is no terminal.
+#: The width of a table that is written to a pipe or a file, in characters.
 WIDEST = 200
 
 

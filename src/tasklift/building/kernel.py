@@ -4,7 +4,7 @@
 step by step. The phases of a step stand in the order of rule 1 of ``docs/reading.md``.
 
 The oracle looks at every robot in every phase. Here most robots sleep through a step, since nothing can change for them
-but their progress: :func:`plan` says when each must be looked at again, and decision 43 in ``docs/`` why that is exact.
+but their progress: :func:`sleep` says when each must be looked at again, and decision 43 in ``docs/`` why that is exact.
 
 Contract of everything here: **no bounds checks, no validation**. :mod:`tasklift.building.simulator` validates,
 allocates and seeds; these functions fill what they are given. :mod:`tasklift.building.layout` tells the shape of
@@ -208,6 +208,8 @@ def decide(world, rules, learner, lane):
             if (robot.going == 1) & (site.unsearched == 0):
                 lane.leaving[np.uint64(n_leaving)] = r
                 n_leaving += 1
+            elif is_alone(robot):
+                sleep(rules, lane, r)
             else:
                 touch(lane, robot.node)
     count.leaving = n_leaving
@@ -386,10 +388,11 @@ def choose_edge(world, rules, learner, lane, r):
 def leave(world, rules, learner, lane):
     """Let those who leave choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
 
-    Returns whether any unresolved feature is crossed.
+    Who faces no unresolved feature is not concerned by a fight and departs; ``lane.leaving`` keeps the others. Returns
+    whether any unresolved feature is crossed.
     """
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
-    crossed = False
+    crossed, n_facing = False, 0
     for i in range(count.leaving):
         r = lane.leaving[i]
         robot = robots[r]
@@ -397,7 +400,10 @@ def leave(world, rules, learner, lane):
         robot.next = half
         site = sites[robot.node]
         if site.faced == 0:
+            depart(world, rules, learner, lane, r)
             continue
+        lane.leaving[np.uint64(n_facing)] = r
+        n_facing += 1
         node = world.nodes[robot.node]
         if world.halves[half].edge != robot.came or node.last - node.first == 1:
             robot.crossing = 1
@@ -406,6 +412,7 @@ def leave(world, rules, learner, lane):
                 site.crossed = count.tick
                 site.armed_crossing = 0
             site.armed_crossing += world.members[r].armed
+    count.leaving = n_facing
     return crossed
 
 
@@ -524,7 +531,8 @@ def depart(world, rules, learner, lane, r):
     """Send a robot into the corridor that it chose, by its first step."""
     robot, tick = lane.robots[r], lane.count[0].tick
     place = world.nodes.shape[0] + robot.next
-    stays_alone = lane.teams[robot.team].size == 1
+    # with company it is planned at the end of the step; so too if it has heard of danger, which may pass before then
+    stays_alone = (lane.teams[robot.team].size == 1) & (lane.places[robot.node].touched != tick)
     take_out(lane, r, robot.node)
     robot.half = robot.next
     robot.next = -1
@@ -549,7 +557,7 @@ def _end_of_way(world, robot, tick):
 
 @inline
 def move(world, rules, learner, lane):
-    """Send off those who leave and were not held up, and take in who arrives."""
+    """Send off those who faced a feature and were not held up, and take in who arrives."""
     robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
     for i in range(count.leaving):
         r = lane.leaving[i]
@@ -583,6 +591,12 @@ def touch(lane, place):
         lane.places[place].touched = count.tick
         lane.touched[count.touched] = place
         count.touched += 1
+
+
+@inline
+def is_alone(robot):
+    """Return whether there is nobody else in the list that a robot is in."""
+    return (robot.before < 0) & (robot.after < 0)
 
 
 @inline
@@ -773,11 +787,18 @@ def regroup(world, rules, learner, lane, place):
         plan(world, rules, learner, lane, r)
         return
     form_teams(world, rules, lane, place)
+    n_classes = 0
     while first >= 0:
-        plan(world, rules, learner, lane, np.uint32(first))
-        first = lane.robots[np.uint64(first)].after
-    if place >= world.nodes.shape[0]:
-        foresee_meetings(lane, r)
+        r = np.uint32(first)
+        first = lane.robots[r].after
+        cancel(lane, r)
+        keep_pace(world, learner, lane, r)
+        wakes, decides = waking(rules, lane, r)
+        if place >= world.nodes.shape[0]:
+            meets, n_classes = meeting(lane, r, wakes, n_classes)
+            decides = decides if meets == wakes else np.int64(0)
+            wakes = meets
+        schedule(lane, r, wakes, decides)
 
 
 # --- who wakes when -----------------------------------------------------------------------------------------------
@@ -785,21 +806,34 @@ def regroup(world, rules, learner, lane, place):
 
 @inline
 def plan(world, rules, learner, lane, r):
-    """Find a robot's pace anew, and when it wakes."""
-    robot = lane.robots[r]
+    """Find the pace of a robot that is alone anew, and when it wakes."""
     cancel(lane, r)
+    keep_pace(world, learner, lane, r)
+    sleep(rules, lane, r)
+
+
+@inline
+def keep_pace(world, learner, lane, r):
+    """Find anew how fast a robot goes on in its corridor, and when it arrives."""
+    robot = lane.robots[r]
     if robot.half >= 0:
         pace = _speed(world, learner, lane, r) if robot.going == 1 else np.int64(0)
         if pace != robot.pace:
             come_along(lane, robot)
             robot.pace = pace
             robot.arrives = _end_of_way(world, robot, robot.planned) if pace > 0 else NEVER
-    sleep(rules, lane, r)
 
 
 @inline
 def sleep(rules, lane, r):
-    """Foresee the tick at which a robot must be looked at again: it *wakes* then.
+    """Let a robot that is alone sleep until something can change for it."""
+    wakes, decides = waking(rules, lane, r)
+    schedule(lane, r, wakes, decides)
+
+
+@inline
+def waking(rules, lane, r):
+    """Foresee the tick at which a robot must be looked at again: it *wakes* then. Return also whether to decide.
 
     Until then it only moves on by its pace. It wakes to decide, for want of patience or since its input has changed, to
     arrive, and where it begins or ends to stop at a feature. What others do to it later (alerts, fights, comings and
@@ -818,44 +852,33 @@ def sleep(rules, lane, r):
                 wakes = tick + 1
         if row == robot.row:
             # what is further off than the agenda reaches wakes it earlier, for nothing
-            schedule(lane, r, min(wakes, tick + AGENDA - 1), decides)
-            return
+            return min(wakes, tick + AGENDA - 1), decides
         robot.due = 1  # rule 6; the row itself is noted when it decides
-    schedule(lane, r, tick + 1, 1)
+    return tick + 1, np.int64(1)
 
 
 @inline
-def foresee_meetings(lane, first):
-    """Wake robots of one corridor when two of them meet or part."""
-    robots, classes, tick, n_classes = lane.robots, lane.classes, lane.count[0].tick, 1
-    classes[0, 0], classes[0, 1] = robots[first].passed, robots[first].pace
-    after = robots[first].after
-    while after >= 0:
-        r = np.uint32(after)
-        robot = robots[r]
-        wakes, passed, pace = robot.wakes, robot.passed, robot.pace
-        after = robot.after
-        if passed == classes[0, 0] and pace == classes[0, 1]:
-            continue
-        known = False
-        for c in range(n_classes):
-            gap, faster = classes[c, 0] - passed, pace - classes[c, 1]
-            if gap == 0 and faster == 0:
-                known = True
-                break
-            if gap == 0:
-                wakes = tick + 1
-            elif faster != 0 and (gap > 0) == (faster > 0) and gap % faster == 0:
-                wakes = min(wakes, tick + gap // faster)
-        if not known and n_classes < classes.shape[0]:
-            classes[n_classes, 0] = passed
-            classes[n_classes, 1] = pace
-            n_classes += 1
-        elif not known:
+def meeting(lane, r, wakes, n_classes):
+    """Return the first tick, ``wakes`` at the latest, at which robot r meets or parts from one of those before it.
+
+    ``lane.classes`` has their progress and pace, each once. Return also how many these are with robot r.
+    """
+    robot, classes, tick = lane.robots[r], lane.classes, lane.count[0].tick
+    for c in range(n_classes):
+        gap, faster = classes[c, 0] - robot.passed, robot.pace - classes[c, 1]
+        if gap == 0:
+            if faster == 0:
+                return wakes, n_classes
             wakes = tick + 1
-        if wakes < robot.wakes:
-            cancel(lane, r)
-            schedule(lane, r, wakes, 0)
+        if faster < 0:
+            gap, faster = -gap, -faster
+        if 0 < gap <= faster * (wakes - tick) and gap % faster == 0:
+            wakes = tick + gap // faster
+    if n_classes == classes.shape[0]:
+        return tick + 1, n_classes
+    classes[n_classes, 0] = robot.passed
+    classes[n_classes, 1] = robot.pace
+    return wakes, n_classes + 1
 
 
 @inline
@@ -870,11 +893,10 @@ def schedule(lane, r, tick, decides):
 
 @inline
 def cancel(lane, r):
-    """Strike out that robot r wakes later than now."""
+    """Strike out when robot r wakes. Where that has passed nothing is noted, and a branch would be guessed wrong."""
     wakes = lane.robots[r].wakes
-    if wakes > lane.count[0].tick:
-        lane.agenda[page(wakes, r >> 6, 0)] &= ~bit_of(r)
-        lane.agenda[page(wakes, r >> 6, 1)] &= ~bit_of(r)
+    lane.agenda[page(wakes, r >> 6, 0)] &= ~bit_of(r)
+    lane.agenda[page(wakes, r >> 6, 1)] &= ~bit_of(r)
 
 
 @inline

@@ -1,4 +1,4 @@
-"""Operations of the processor that Numba does not offer by itself."""
+"""What Numba does not offer by itself: operations of the processor, and a hint to the compiler."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.core.cgutils import get_or_insert_function
+from numba.extending import intrinsic, lower_builtin, overload, type_callable
 
 from tasklift.tasks import choice
 
@@ -43,3 +44,15 @@ _eight: Any = intrinsic(_count_eight)
 @overload(choice.at_or_below)
 def _at_or_below(rising, first, target):  # type: ignore[no-untyped-def]
     return lambda rising, first, target: _eight(rising, first, target)
+
+
+@type_callable(choice.rarely)
+def _type_of_rarely(context):  # type: ignore[no-untyped-def]
+    return lambda condition: types.boolean
+
+
+@lower_builtin(choice.rarely, types.boolean)
+def _expected_false(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    bit = ir.IntType(1)
+    expect = get_or_insert_function(builder.module, ir.FunctionType(bit, [bit, bit]), "llvm.expect.i1")
+    return builder.call(expect, [arguments[0], ir.Constant(bit, 0)])

@@ -4,7 +4,7 @@
 step by step. The phases of a step stand in the order of rule 1 of ``docs/reading.md``.
 
 The oracle looks at every robot in every phase. Here most robots sleep through a step, since nothing can change for them
-but their progress: :func:`sleep` says when each must be looked at again, and decision 43 in ``docs/`` why that is exact.
+but their progress: :func:`waking` says when each is looked at again, and decision 43 in ``docs/`` why that is exact.
 
 Contract of everything here: **no bounds checks, no validation**. :mod:`tasklift.building.simulator` validates,
 allocates and seeds; these functions fill what they are given. :mod:`tasklift.building.layout` tells the shape of
@@ -36,6 +36,7 @@ from tasklift.building.randomness import (
     uniform,
 )
 from tasklift.tasks import choice as scalar
+from tasklift.tasks.choice import rarely
 
 _entry = njit(nogil=True, cache=True, **UNCHECKED)
 
@@ -119,9 +120,9 @@ def credit(learner, lane, row, out):
     used = lane.used[row, word]
     fresh = used & bit == 0
     lane.used[row, word] = used | bit
-    if learner.at_once == 1 and (fresh or learner.once == 0):
+    if rarely((learner.at_once == 1) & (fresh | (learner.once == 0))):
         signal = learner.signal[row, out]
-        if signal != 0.0:
+        if rarely(signal != 0.0):
             reinforce(learner, lane, row, out, signal)
 
 
@@ -129,7 +130,7 @@ def credit(learner, lane, row, out):
 def draw_by_weight(lane, row, u):
     """Draw an output in proportion to its weight, from sums that are brought up to date where they are stale."""
     weights, sums = lane.weights[row], lane.sums[row]
-    if lane.stale[row] < weights.shape[0]:
+    if rarely(lane.stale[row] < weights.shape[0]):
         _sum_up(weights, sums, lane.stale[row])
         lane.stale[row] = weights.shape[0]
     return _draw_summed(weights, sums, u)
@@ -139,13 +140,13 @@ def draw_by_weight(lane, row, u):
 def draw_output(learner, lane, r):
     """Let robot r draw an output for its input (rule 20), or take the one that is given; book it."""
     robot, key = lane.robots[r], lane.count[0].key
-    if learner.rows[np.uint64(robot.seen)] < 0:
+    if rarely(learner.rows[np.uint64(robot.seen)] < 0):
         lane.count[0].outside = robot.seen + 1
         return
     row, out = np.uint32(learner.rows[np.uint64(robot.seen)]), lane.given[r]
     if out < 0:
         u = uniform(key, r, OUTPUT_DRAW, robot.decisions)
-        if learner.greedy > 0.0 and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
+        if rarely(learner.greedy > 0.0) and uniform(key, r, GREEDY_COIN, robot.decisions) < learner.greedy:
             out = _heaviest(lane.weights[row], u)
         else:
             out = draw_by_weight(lane, row, u)
@@ -180,12 +181,12 @@ def stops(robot, site):
 
 @inline
 def decide(world, rules, learner, lane):
-    """Let those who wake to it decide, in robot order (rules 5 and 6); list who leaves its node.
+    """Let those who wake to it decide, in robot order (rules 5 and 6); list those of them who are at a node.
 
     Keeps count of who stops at an unresolved feature, and returns whether somebody began to.
     """
     robots, count = lane.robots, lane.count[0]
-    began, n_leaving = False, 0
+    began, n_awake = False, 0
     for word in range(words(lane)):
         bits = lane.agenda[page(count.tick, word, 1)]
         while bits != 0:
@@ -195,24 +196,19 @@ def decide(world, rules, learner, lane):
             if robot.due == 1 or count.tick >= robot.decided + rules.patience:
                 take_output(world, rules, learner, lane, r)
             robot.crossing = 0
-            if robot.half >= 0:
+            if rarely(robot.half >= 0):
                 lane.agenda[page(count.tick, word, 0)] |= bit_of(r)
                 continue
+            lane.awake[np.uint64(n_awake)] = r
+            n_awake += 1
             site = lane.sites[robot.node]
             change = np.int64(stops(robot, site)) - robot.stopping
-            if change != 0:
+            if rarely(change != 0):
                 began |= change > 0
                 count.stopping += change
                 site.stoppers += change
                 robot.stopping += change
-            if (robot.going == 1) & (site.unsearched == 0):
-                lane.leaving[np.uint64(n_leaving)] = r
-                n_leaving += 1
-            elif is_alone(robot):
-                sleep(rules, lane, r)
-            else:
-                touch(lane, robot.node)
-    count.leaving = n_leaving
+    count.awake = n_awake
     return began
 
 
@@ -222,7 +218,7 @@ def take_output(world, rules, learner, lane, r):
     robot = lane.robots[r]
     robot.row = _input(lane, r)
     robot.seen = _seen(world, rules, lane, r)
-    if rules.by_team == 1 and lane.teams[robot.team].lead != r:
+    if rarely(rules.by_team == 1) and lane.teams[robot.team].lead != r:
         lead = lane.teams[robot.team].lead
         robot.out = lane.robots[lead].out
         robot.pair_row = lane.robots[lead].pair_row
@@ -251,24 +247,15 @@ def _listen(world, rules, lane, r):
 
 
 @inline
-def alert(world, rules, lane, began):
+def alert(world, rules, lane):
     """Spread the suspicion of robots that stop at an unresolved feature.
 
     Who suspects nothing has heard of no earlier stop. So nothing changes but by a stop that has just begun, by a
-    suspicion that was resolved, and for a robot that ``listens``: it came to another node.
+    suspicion that was resolved, and for a robot that ``listens``: it came to another node. :func:`leave` sees to that.
     """
     count = lane.count[0]
-    if began or count.cleared == 1:
-        for i in range(count.alive):
-            _listen(world, rules, lane, lane.roster[i])
-    else:
-        for word in range(words(lane)):
-            bits = lane.agenda[page(count.tick, word, 1)]
-            while bits != 0:
-                r = lowest_robot(word, bits)
-                bits &= bits - np.uint64(1)
-                if lane.robots[r].listens == 1:
-                    _listen(world, rules, lane, r)
+    for i in range(count.alive):
+        _listen(world, rules, lane, lane.roster[i])
     count.cleared = 0
 
 
@@ -284,14 +271,14 @@ def open_edges(world, rules, lane, r):
     node = world.nodes[robot.node]
     back = node.last - node.first == 1 or (rules.turn_back == 1 and robot.goal >= 0 and robot.goal != robot.node)
     came = np.int64(-1) if back else robot.came
-    if came >= 0 and node.last - node.first == 2:  # most often: nothing but to go on
+    if rarely((came >= 0) & (node.last - node.first == 2)):  # most often: nothing but to go on
         is_open[0] = node.first + (world.halves[node.first].edge == came)
         return 1
     n = 0
     for half in range(node.first, node.last):
         is_open[np.uint64(n)] = half
         n += world.halves[half].edge != came
-    if n == 1 or rules.unvisited_first == 0 or robot.goal >= 0:
+    if rarely((n == 1) | (rules.unvisited_first == 0) | (robot.goal >= 0)):
         return n
     n_new = 0
     for j in range(n):
@@ -306,14 +293,16 @@ def _nearness(world, rules, node, goal):
     dx = world.nodes[node].x - world.nodes[goal].x
     dy = world.nodes[node].y - world.nodes[goal].y
     base = 0.5 + np.sqrt(dx * dx + dy * dy)
-    return 1.0 / base if rules.sharpness == 1.0 else 1.0 / base**rules.sharpness
+    if rarely(rules.sharpness != 1.0):
+        return 1.0 / base**rules.sharpness
+    return 1.0 / base
 
 
 @inline
 def draw_edge(world, rules, learner, lane, r, n_open):
     """Draw one of the open half-edges by p_j = CA · CovA_j + (1 − CA) · GolC_j (rule 9; section IV)."""
     robot, is_open, share = lane.robots[r], lane.open, lane.share
-    if n_open == 1:
+    if rarely(n_open == 1):
         return is_open[0]
     coverage, nearness = 0.0, 0.0
     for j in range(n_open):
@@ -355,7 +344,7 @@ def choose_edge(world, rules, learner, lane, r):
     robot, picks, is_open = lane.robots[r], lane.picks, lane.open
     site, count = lane.sites[robot.node], lane.count[0]
     first = world.nodes[robot.node].first
-    if learner.outputs[robot.out].back == 1 and robot.came >= 0:
+    if rarely(learner.outputs[robot.out].back == 1) and robot.came >= 0:
         half = np.uint32(first)
         while world.halves[half].edge != robot.came:
             half += np.uint32(1)
@@ -385,35 +374,50 @@ def choose_edge(world, rules, learner, lane, r):
 
 
 @inline
-def leave(world, rules, learner, lane):
+def leave(world, rules, learner, lane, suspicions):
     """Let those who leave choose an edge (rules 7 to 9); mark the features that are crossed (rule 10).
 
-    Who faces no unresolved feature is not concerned by a fight and departs; ``lane.leaving`` keeps the others. Returns
+    Who faces no unresolved feature is not concerned by a fight and departs; ``lane.awake`` keeps the others. Returns
     whether any unresolved feature is crossed.
     """
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
     crossed, n_facing = False, 0
-    for i in range(count.leaving):
-        r = lane.leaving[i]
+    for i in range(count.awake):
+        r = lane.awake[i]
         robot = robots[r]
-        half = choose_edge(world, rules, learner, lane, r)
-        robot.next = half
         site = sites[robot.node]
-        if site.faced == 0:
-            depart(world, rules, learner, lane, r)
+        if rarely(suspicions & (robot.listens == 1)):
+            _listen(world, rules, lane, r)
+        if rarely((robot.going == 0) | (site.unsearched > 0)):
+            if is_undisturbed(lane, r):
+                sleep(rules, lane, r)
+            else:
+                touch(lane, robot.node)
             continue
-        lane.leaving[np.uint64(n_facing)] = r
-        n_facing += 1
-        node = world.nodes[robot.node]
-        if world.halves[half].edge != robot.came or node.last - node.first == 1:
-            robot.crossing = 1
-            crossed = True
-            if site.crossed != count.tick:
-                site.crossed = count.tick
-                site.armed_crossing = 0
-            site.armed_crossing += world.members[r].armed
-    count.leaving = n_facing
+        robot.next = choose_edge(world, rules, learner, lane, r)
+        if rarely(site.faced > 0):
+            lane.awake[np.uint64(n_facing)] = r
+            n_facing += 1
+            crossed |= cross(world, lane, r)
+        else:
+            depart(world, rules, learner, lane, r)
+    count.awake = n_facing
     return crossed
+
+
+@inline
+def cross(world, lane, r):
+    """Mark the feature that robot r faces if its edge leads past it (rule 10); return whether it does."""
+    robot, tick = lane.robots[r], lane.count[0].tick
+    node, site = world.nodes[robot.node], lane.sites[robot.node]
+    if world.halves[robot.next].edge == robot.came and node.last - node.first > 1:
+        return False
+    robot.crossing = 1
+    if site.crossed != tick:
+        site.crossed = tick
+        site.armed_crossing = 0
+    site.armed_crossing += world.members[r].armed
+    return True
 
 
 @inline
@@ -421,8 +425,8 @@ def _resolve(rules, lane):
     """Decide each crossed feature; return the highest and second-highest node of a failed attack, or -1."""
     robots, sites, count = lane.robots, lane.sites, lane.count[0]
     highest, second = np.int64(-1), np.int64(-1)
-    for i in range(count.leaving):
-        robot = robots[lane.leaving[i]]
+    for i in range(count.awake):
+        robot = robots[lane.awake[i]]
         site = sites[robot.node]
         if robot.crossing == 0 or site.resolved == 1 or site.failed == count.tick:
             continue
@@ -513,13 +517,13 @@ def arrive(world, rules, lane, r):
     robot.arrived = count.step + 1
     lane.maps[r, half.edge >> 6] |= np.uint64(1) << np.uint64(half.edge & 63)
     count.arrivals += 1
-    if lane.visited[half.edge] == 0:
+    if rarely(lane.visited[half.edge] == 0):
         lane.visited[half.edge] = 1
         count.edges_left -= 1
     if put_in(lane, r, half.to):
         touch(lane, half.to)
         return
-    if lane.sites[half.to].unsearched > 0:
+    if rarely(lane.sites[half.to].unsearched > 0):
         lane.rooms[count.rooms_open] = half.to
         count.rooms_open += 1
     stay_alone(world, rules, lane, r)
@@ -532,7 +536,7 @@ def depart(world, rules, learner, lane, r):
     robot, tick = lane.robots[r], lane.count[0].tick
     place = world.nodes.shape[0] + robot.next
     # with company it is planned at the end of the step; so too if it has heard of danger, which may pass before then
-    stays_alone = (lane.teams[robot.team].size == 1) & (lane.places[robot.node].touched != tick)
+    stays_alone = is_undisturbed(lane, r)
     take_out(lane, r, robot.node)
     robot.half = robot.next
     robot.next = -1
@@ -540,7 +544,7 @@ def depart(world, rules, learner, lane, r):
     robot.planned = tick
     robot.arrives = _end_of_way(world, robot, tick)
     stays_alone &= not put_in(lane, r, place)
-    if robot.arrives == tick:  # the corridor is so short
+    if rarely(robot.arrives == tick):  # the corridor is so short
         lane.agenda[page(tick, r >> 6, 0)] |= bit_of(r)
     elif stays_alone:
         sleep(rules, lane, r)
@@ -559,8 +563,8 @@ def _end_of_way(world, robot, tick):
 def move(world, rules, learner, lane):
     """Send off those who faced a feature and were not held up, and take in who arrives."""
     robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
-    for i in range(count.leaving):
-        r = lane.leaving[i]
+    for i in range(count.awake):
+        r = lane.awake[i]
         if robots[r].next >= 0:
             depart(world, rules, learner, lane, r)
         else:
@@ -571,11 +575,11 @@ def move(world, rules, learner, lane):
             r = lowest_robot(word, bits)
             bits &= bits - np.uint64(1)
             place = n_nodes + robots[r].half
-            if robots[r].arrives <= count.tick:
+            if rarely(robots[r].arrives > count.tick):
+                touch(lane, place)
+            else:
                 take_out(lane, r, place)
                 arrive(world, rules, lane, r)
-            else:
-                touch(lane, place)
         lane.agenda[page(count.tick, word, 0)] = 0
         lane.agenda[page(count.tick, word, 1)] = 0
 
@@ -594,9 +598,10 @@ def touch(lane, place):
 
 
 @inline
-def is_alone(robot):
-    """Return whether there is nobody else in the list that a robot is in."""
-    return (robot.before < 0) & (robot.after < 0)
+def is_undisturbed(lane, r):
+    """Return whether robot r is alone at its node, and nothing there was touched in this step."""
+    robot = lane.robots[r]
+    return (robot.before < 0) & (robot.after < 0) & (lane.places[robot.node].touched != lane.count[0].tick)
 
 
 @inline
@@ -685,7 +690,7 @@ def form_teams(world, rules, lane, place):
                 for w in range(maps.shape[1]):
                     differ |= maps[r, w] != maps[t, w]
         r = robot.after
-    if differ:
+    if rarely(differ):
         pool(lane, first)
 
 
@@ -699,7 +704,7 @@ def come_along(lane, robot):
 @inline
 def stay_alone(world, rules, lane, r):
     """See to it that robot r is a team of its own."""
-    if (lane.robots[r].team != r) | (lane.teams[r].size > 1):
+    if rarely((lane.robots[r].team != r) | (lane.teams[r].size > 1)):
         found_team(world, rules, lane, r)
 
 
@@ -779,7 +784,7 @@ def pool_all(lane):
 def regroup(world, rules, learner, lane, place):
     """Find teams and plans anew at a place where something has changed."""
     first = lane.places[place].first
-    if first < 0:
+    if rarely(first < 0):
         return
     r = np.uint32(first)
     if lane.robots[r].after < 0:
@@ -818,7 +823,7 @@ def keep_pace(world, learner, lane, r):
     robot = lane.robots[r]
     if robot.half >= 0:
         pace = _speed(world, learner, lane, r) if robot.going == 1 else np.int64(0)
-        if pace != robot.pace:
+        if rarely(pace != robot.pace):
             come_along(lane, robot)
             robot.pace = pace
             robot.arrives = _end_of_way(world, robot, robot.planned) if pace > 0 else NEVER
@@ -866,13 +871,13 @@ def meeting(lane, r, wakes, n_classes):
     robot, classes, tick = lane.robots[r], lane.classes, lane.count[0].tick
     for c in range(n_classes):
         gap, faster = classes[c, 0] - robot.passed, robot.pace - classes[c, 1]
-        if gap == 0:
+        if rarely(gap == 0):
             if faster == 0:
                 return wakes, n_classes
             wakes = tick + 1
         if faster < 0:
             gap, faster = -gap, -faster
-        if 0 < gap <= faster * (wakes - tick) and gap % faster == 0:
+        if rarely((gap > 0) & (gap <= faster * (wakes - tick))) and gap % faster == 0:
             wakes = tick + gap // faster
     if n_classes == classes.shape[0]:
         return tick + 1, n_classes
@@ -887,16 +892,15 @@ def schedule(lane, r, tick, decides):
 
     The tick is at most ``AGENDA - 1`` ahead.
     """
-    lane.robots[r].wakes = tick
-    lane.agenda[page(tick, r >> 6, decides)] |= bit_of(r)
+    at = page(tick, r >> 6, decides)
+    lane.robots[r].noted = at
+    lane.agenda[at] |= bit_of(r)
 
 
 @inline
 def cancel(lane, r):
-    """Strike out when robot r wakes. Where that has passed nothing is noted, and a branch would be guessed wrong."""
-    wakes = lane.robots[r].wakes
-    lane.agenda[page(wakes, r >> 6, 0)] &= ~bit_of(r)
-    lane.agenda[page(wakes, r >> 6, 1)] &= ~bit_of(r)
+    """Strike out when robot r wakes; where that has passed, there is nothing to strike out."""
+    lane.agenda[lane.robots[r].noted] &= ~bit_of(r)
 
 
 @inline
@@ -937,23 +941,24 @@ def _step(world, rules, learner, lane):
     count.robot_steps += count.alive
     count.touched = 0
     count.arrivals = 0
-    if rules.by_team == 1:
+    if rarely(rules.by_team == 1):
         wake_teams(rules, lane)
     began = decide(world, rules, learner, lane)
-    if count.outside > 0:
+    if rarely(count.outside > 0):
         return OUTSIDE
-    if count.stopping > 0 and rules.alerts == 1:
-        alert(world, rules, lane, began)
-    if leave(world, rules, learner, lane):
+    suspicions = (count.stopping > 0) & (rules.alerts == 1)
+    if rarely(suspicions & (began | (count.cleared == 1))):
+        alert(world, rules, lane)
+    if rarely(leave(world, rules, learner, lane, suspicions)):
         encounter(world, rules, learner, lane)
     move(world, rules, learner, lane)
     search(lane)
     for i in range(count.touched):
         regroup(world, rules, learner, lane, lane.touched[i])
-    if rules.share_map == SHARE_RADIO and count.arrivals > 0:
+    if rarely(rules.share_map == SHARE_RADIO) and count.arrivals > 0:
         pool_all(lane)
     count.step += 1
-    if count.edges_left == 0 and count.rooms_left == 0 and count.hostiles_left == 0:
+    if count.edges_left + count.rooms_left + count.hostiles_left == 0:
         return SUCCESS
     return FAILURE if count.alive == 0 or count.step >= rules.limit else GOES_ON
 
@@ -975,7 +980,7 @@ def _lane(lanes, i):
         lanes.given[i],
         lanes.roster[i],
         lanes.agenda[i],
-        lanes.leaving[i],
+        lanes.awake[i],
         lanes.sites[i],
         lanes.places[i],
         lanes.touched[i],

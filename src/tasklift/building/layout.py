@@ -22,11 +22,12 @@ HALF = _record(to="u4", edge="u4", cost_mm="i8", coverage="f8")
 MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
 ROBOT = _record(  # 128 bytes
-    decided="i8", planned="i8", arrives="i8", wakes="i8", died="i8",  # ticks
+    decided="i8", planned="i8", arrives="i8", died="i8",  # ticks
     passed="i8", pace="i4",  # mm of its corridor that lay behind it at the tick `planned`, and mm per step
     node="u4", half="i4", next="i4", came="i4",  # the last node; half, next, came: -1 for none
     row="i4", seen="i4",  # at its last decision: its input of Table I, and its row of the mission's table
     pair_row="u4", out="u4", decisions="u4", choices="u4",
+    noted="u4",  # where the agenda has when it wakes
     team="u4", after="i4", before="i4", arrived="i4",  # the step in which it came to `node`
     alert="i4", goal="i4", alarmed="i4",  # the node that it heads for, -1 for none; what DL and GL add to the input
     alive="u1", due="u1", going="u1", repelled="u1", crossing="u1", stopping="u1", listens="u1", dl="u1",
@@ -39,7 +40,7 @@ PLACE = _record(touched="i8", first="i4")  # a node, or N + a half-edge; the fir
 TEAM = _record(slowest="i8", lead="u4", size="i4", armed="i4", weapons="u1", due="u1", learned="u1")
 SLOT = _record(tick="i8", passed="i8", place="u4", team="u4")
 COUNT = _record(
-    step="i8", alive="i8", leaving="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8",
+    step="i8", alive="i8", awake="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8",
     rooms_open="i8", hostiles_left="i8", losses="i8", cleared="i8", messages="i8", tick="i8",
     robot_steps="i8", arrivals="i8", outside="i8", key="u8",
 )  # fmt: skip
@@ -111,7 +112,7 @@ class Lane(NamedTuple):
     given: Any  # int64 (R,): the output of each robot's next decisions, -1: drawn
     roster: Any  # uint32 (R,): the living, ascending, first `count.alive` entries
     agenda: Any  # uint64: of each tick to come, modulo AGENDA, a bit for each robot that wakes then: see `kernel.page`
-    leaving: Any  # uint32 (R,): who leaves its node in this step, ascending, first `count.leaving` entries
+    awake: Any  # uint32 (R,): who wakes at a node, then who leaves a feature, ascending, first `count.awake` entries
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
     touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries

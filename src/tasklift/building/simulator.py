@@ -193,7 +193,7 @@ class Simulator:
             given=np.full(n_robots, -1, np.int64),
             roster=np.zeros(n_robots, np.uint32),
             agenda=np.zeros((n_robots + 63) // 64 * layout.AGENDA * 2, np.uint64),
-            leaving=np.zeros(n_robots, np.uint32),
+            awake=np.zeros(n_robots, np.uint32),
             sites=np.zeros(n_nodes, layout.SITE),
             places=np.zeros(n_nodes + n_halves, layout.PLACE),
             touched=np.zeros(n_nodes + n_halves, np.uint32),

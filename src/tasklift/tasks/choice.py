@@ -69,23 +69,22 @@ def draw_summed(weights, sums, u):  # type: ignore[no-untyped-def]
     takes no branch that a processor could guess wrong.
     """
     n = len(weights)
-    if sums[n - 1] <= 0.0:
+    if rarely(sums[n - 1] <= 0.0):
         even = int(u * n)
         return even if even < n else n - 1
     target = u * sums[n - 1]
     lasts = n // 8 * 8 + 8
     block = at_or_below(sums, lasts, target)
     following = 8
-    while block == following:
+    while rarely(block == following):
         block += at_or_below(sums, lasts + block, target)
         following += 8
     found = 8 * block + at_or_below(sums, 8 * block, target)
-    if found < n:
-        return found
-    last = n - 1
-    while weights[last] <= 0.0:
-        last -= 1
-    return last
+    if rarely(found >= n):
+        found = n - 1
+        while weights[found] <= 0.0:
+            found -= 1
+    return found
 
 
 def at_or_below(rising, first, target):  # type: ignore[no-untyped-def]
@@ -94,6 +93,11 @@ def at_or_below(rising, first, target):  # type: ignore[no-untyped-def]
     for i in range(first, first + 8):
         found += rising[i] <= target
     return found
+
+
+def rarely(condition):  # type: ignore[no-untyped-def]
+    """Return the condition. Compiled, the code is laid out for it to be false: see ``building/bits.py``."""
+    return condition
 
 
 def heaviest(weights, u):  # type: ignore[no-untyped-def]

@@ -84,7 +84,7 @@ def hear(world, rules, lane, r, dl, about):
     robot.goal = about if dl == 2 or (dl == 1 and rules.suspicion_goal == 1) else np.int64(-1)
     danger = sensors.danger_level(world, rules, lane, r, world.numbers)
     robot.alarmed = danger * 30 + sensors.goal_known(world, rules, lane, r, world.numbers) * 15
-    touch(lane, np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
+    unsettle(world, lane, r)
 
 
 @inline
@@ -389,10 +389,9 @@ def leave(world, rules, learner, lane, suspicions):
         if rarely(suspicions & (robot.listens == 1)):
             _listen(world, rules, lane, r)
         if rarely((robot.going == 0) | (site.unsearched > 0)):
-            if is_undisturbed(lane, r):
+            if robot.unsettled == 0:
+                cancel(lane, r)
                 sleep(rules, lane, r)
-            else:
-                touch(lane, robot.node)
             continue
         robot.next = choose_edge(world, rules, learner, lane, r)
         if rarely(site.faced > 0):
@@ -535,21 +534,21 @@ def depart(world, rules, learner, lane, r):
     """Send a robot into the corridor that it chose, by its first step."""
     robot, tick = lane.robots[r], lane.count[0].tick
     place = world.nodes.shape[0] + robot.next
-    # with company it is planned at the end of the step; so too if it has heard of danger, which may pass before then
-    stays_alone = is_undisturbed(lane, r)
     take_out(lane, r, robot.node)
     robot.half = robot.next
     robot.next = -1
     robot.passed = robot.pace = _speed(world, learner, lane, r)
     robot.planned = tick
     robot.arrives = _end_of_way(world, robot, tick)
-    stays_alone &= not put_in(lane, r, place)
+    others = put_in(lane, r, place)
     if rarely(robot.arrives == tick):  # the corridor is so short
         lane.agenda[page(tick, r >> 6, 0)] |= bit_of(r)
-    elif stays_alone:
-        sleep(rules, lane, r)
-    else:
+    elif lane.teams[robot.team].size > 1:
         touch(lane, place)
+    elif others | (robot.unsettled == 1):
+        unsettle(world, lane, r)
+    else:
+        sleep(rules, lane, r)
 
 
 @inline
@@ -567,18 +566,17 @@ def move(world, rules, learner, lane):
         r = lane.awake[i]
         if robots[r].next >= 0:
             depart(world, rules, learner, lane, r)
-        else:
-            touch(lane, robots[r].node)
+        elif robots[r].alive == 1:
+            unsettle(world, lane, r)
     for word in range(words(lane)):
         bits = lane.agenda[page(count.tick, word, 0)]
         while bits != 0:
             r = lowest_robot(word, bits)
             bits &= bits - np.uint64(1)
-            place = n_nodes + robots[r].half
             if rarely(robots[r].arrives > count.tick):
-                touch(lane, place)
+                unsettle(world, lane, r)
             else:
-                take_out(lane, r, place)
+                take_out(lane, r, n_nodes + robots[r].half)
                 arrive(world, rules, lane, r)
         lane.agenda[page(count.tick, word, 0)] = 0
         lane.agenda[page(count.tick, word, 1)] = 0
@@ -589,19 +587,12 @@ def move(world, rules, learner, lane):
 
 @inline
 def touch(lane, place):
-    """Have a place regrouped at the end of the step."""
+    """Have a place regrouped at the end of the step: teams there may change."""
     count, place = lane.count[0], np.uint32(place)
     if lane.places[place].touched != count.tick:
         lane.places[place].touched = count.tick
         lane.touched[count.touched] = place
         count.touched += 1
-
-
-@inline
-def is_undisturbed(lane, r):
-    """Return whether robot r is alone at its node, and nothing there was touched in this step."""
-    robot = lane.robots[r]
-    return (robot.before < 0) & (robot.after < 0) & (lane.places[robot.node].touched != lane.count[0].tick)
 
 
 @inline
@@ -619,18 +610,32 @@ def put_in(lane, r, place):
 
 @inline
 def take_out(lane, r, place):
-    """Take a robot out of the list of those at a place."""
+    """Take a robot out of the list of those at a place; what is left of its team is regrouped."""
     place, before, after = np.uint32(place), lane.robots[r].before, lane.robots[r].after
-    if before < 0 and after < 0:
-        lane.places[place].first = -1
-        return
     if before >= 0:
         lane.robots[before].after = after
     else:
         lane.places[place].first = after
     if after >= 0:
         lane.robots[after].before = before
-    touch(lane, place)
+    if lane.teams[lane.robots[r].team].size > 1:
+        touch(lane, place)
+
+
+@inline
+def unsettle(world, lane, r):
+    """Have robot r planned anew at the end of the step; with a second one at its place, the place is regrouped."""
+    robot, count = lane.robots[r], lane.count[0]
+    if robot.unsettled == 1:
+        return
+    at = np.uint32(np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
+    place = lane.places[at]
+    if place.unsettled == count.tick:
+        touch(lane, at)
+    place.unsettled = count.tick
+    robot.unsettled = 1
+    lane.unsettled[count.unsettled] = r
+    count.unsettled += 1
 
 
 @inline
@@ -699,6 +704,13 @@ def come_along(lane, robot):
     """Bring up to date how far a robot has come along its corridor."""
     robot.passed += robot.pace * (lane.count[0].tick - robot.planned)
     robot.planned = lane.count[0].tick
+
+
+@inline
+def progress(lane, r):
+    """Return how far a robot has come along its corridor (mm)."""
+    robot = lane.robots[r]
+    return robot.passed + robot.pace * (lane.count[0].tick - robot.planned)
 
 
 @inline
@@ -806,6 +818,34 @@ def regroup(world, rules, learner, lane, place):
         schedule(lane, r, wakes, decides)
 
 
+@inline
+def settle(world, rules, learner, lane, r):
+    """Plan a robot anew, whose team stays as it is, unless its place is regrouped anyway."""
+    robot, tick = lane.robots[r], lane.count[0].tick
+    place = np.uint32(np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
+    robot.unsettled = 0
+    if robot.alive == 0 or lane.places[place].touched == tick:
+        return
+    cancel(lane, r)
+    keep_pace(world, learner, lane, r)
+    wakes, decides = waking(rules, lane, r)
+    if robot.half >= 0:
+        come_along(lane, robot)
+        meets = wakes
+        other = lane.places[place].first
+        while other >= 0:
+            q = np.uint32(other)
+            gap = progress(lane, q) - robot.passed
+            if q != r:
+                if (gap == 0) != (lane.robots[q].team == robot.team):
+                    touch(lane, place)
+                meets = catches_up(gap, robot.pace - lane.robots[q].pace, tick, meets)
+            other = lane.robots[q].after
+        decides = decides if meets == wakes else np.int64(0)
+        wakes = meets
+    schedule(lane, r, wakes, decides)
+
+
 # --- who wakes when -----------------------------------------------------------------------------------------------
 
 
@@ -871,19 +911,29 @@ def meeting(lane, r, wakes, n_classes):
     robot, classes, tick = lane.robots[r], lane.classes, lane.count[0].tick
     for c in range(n_classes):
         gap, faster = classes[c, 0] - robot.passed, robot.pace - classes[c, 1]
-        if rarely(gap == 0):
-            if faster == 0:
-                return wakes, n_classes
-            wakes = tick + 1
-        if faster < 0:
-            gap, faster = -gap, -faster
-        if rarely((gap > 0) & (gap <= faster * (wakes - tick))) and gap % faster == 0:
-            wakes = tick + gap // faster
+        if rarely((gap == 0) & (faster == 0)):
+            return wakes, n_classes
+        wakes = catches_up(gap, faster, tick, wakes)
     if n_classes == classes.shape[0]:
         return tick + 1, n_classes
     classes[n_classes, 0] = robot.passed
     classes[n_classes, 1] = robot.pace
     return wakes, n_classes + 1
+
+
+@inline
+def catches_up(gap, faster, tick, wakes):
+    """Return when a robot that is ``faster`` (mm per step) and ``gap`` (mm) behind has caught up, ``wakes`` at the latest.
+
+    From where both are at one place they part: that is in the next step.
+    """
+    if rarely((gap == 0) & (faster != 0)):
+        return tick + 1
+    if faster < 0:
+        gap, faster = -gap, -faster
+    if rarely((gap > 0) & (gap <= faster * (wakes - tick))) and gap % faster == 0:
+        return tick + gap // faster
+    return wakes
 
 
 @inline
@@ -940,6 +990,7 @@ def _step(world, rules, learner, lane):
     count.tick += 1
     count.robot_steps += count.alive
     count.touched = 0
+    count.unsettled = 0
     count.arrivals = 0
     if rarely(rules.by_team == 1):
         wake_teams(rules, lane)
@@ -953,6 +1004,8 @@ def _step(world, rules, learner, lane):
         encounter(world, rules, learner, lane)
     move(world, rules, learner, lane)
     search(lane)
+    for i in range(count.unsettled):
+        settle(world, rules, learner, lane, lane.unsettled[i])
     for i in range(count.touched):
         regroup(world, rules, learner, lane, lane.touched[i])
     if rarely(rules.share_map == SHARE_RADIO) and count.arrivals > 0:
@@ -984,6 +1037,7 @@ def _lane(lanes, i):
         lanes.sites[i],
         lanes.places[i],
         lanes.touched[i],
+        lanes.unsettled[i],
         lanes.rooms[i],
         lanes.picks[i],
         lanes.open[i],
@@ -1167,6 +1221,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.alert = -1
         robot.alarmed = 0
         robot.listens = 1
+        robot.unsettled = 0
         robot.decisions = 0
         robot.choices = 0
         put_in(lane, r, rules.start)

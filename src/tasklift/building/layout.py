@@ -31,16 +31,17 @@ ROBOT = _record(  # 128 bytes
     team="u4", after="i4", before="i4", arrived="i4",  # the step in which it came to `node`
     alert="i4", goal="i4", alarmed="i4",  # the node that it heads for, -1 for none; what DL and GL add to the input
     alive="u1", due="u1", going="u1", repelled="u1", crossing="u1", stopping="u1", listens="u1", dl="u1",
+    unsettled="u1",
 )  # fmt: skip
 SITE = _record(
     crossed="i8", failed="i8", picking="i8",  # the tick at which it last was
     faced="i4", unsearched="i4", armed_crossing="i4", stoppers="i4", picks="i4", hostile="u1", resolved="u1",
 )  # fmt: skip
-PLACE = _record(touched="i8", first="i4")  # a node, or N + a half-edge; the first robot there, -1 for none
+PLACE = _record(touched="i8", unsettled="i8", first="i4")  # a node, or N + a half-edge: the first robot, -1 for none
 TEAM = _record(slowest="i8", lead="u4", size="i4", armed="i4", weapons="u1", due="u1", learned="u1")
 SLOT = _record(tick="i8", passed="i8", place="u4", team="u4")
 COUNT = _record(
-    step="i8", alive="i8", awake="i8", touched="i8", stopping="i8", edges_left="i8", rooms_left="i8",
+    step="i8", alive="i8", awake="i8", touched="i8", unsettled="i8", stopping="i8", edges_left="i8", rooms_left="i8",
     rooms_open="i8", hostiles_left="i8", losses="i8", cleared="i8", messages="i8", tick="i8",
     robot_steps="i8", arrivals="i8", outside="i8", key="u8",
 )  # fmt: skip
@@ -116,6 +117,7 @@ class Lane(NamedTuple):
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
     touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries
+    unsettled: Any  # uint32 (R,): who is planned anew at the end of this step, first `count.unsettled` entries
     rooms: Any  # uint32 (N,): rooms that are being searched, first `count.rooms_open` entries
     picks: Any  # uint32 (H,): per node, the half-edges chosen in this step, in order
     open: Any  # uint32 (largest degree,): the half-edges that a robot may take

@@ -197,6 +197,7 @@ class Simulator:
             sites=np.zeros(n_nodes, layout.SITE),
             places=np.zeros(n_nodes + n_halves, layout.PLACE),
             touched=np.zeros(n_nodes + n_halves, np.uint32),
+            unsettled=np.zeros(n_robots, np.uint32),
             rooms=np.zeros(n_nodes, np.uint32),
             picks=np.zeros(n_halves, np.uint32),
             open=np.zeros(degree, np.uint32),

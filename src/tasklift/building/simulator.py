@@ -666,7 +666,7 @@ def _share_out(work: Any, lane: Any, n_jobs: int, threads: int | None) -> None:
     if threads <= 1:
         work(slice(0, n_jobs), lane())
         return
-    size = max(1, n_jobs // (8 * threads))
+    size = max(1, n_jobs // (64 * threads))  # small, since at the end all but one thread wait for the last slice
     starts = count(0, size)  # a counter that threads may share: whoever is free takes the next slice
 
     def take() -> None:

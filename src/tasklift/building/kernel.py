@@ -367,7 +367,7 @@ def choose_edge(world, rules, learner, lane, r):
                 n_both += 1
         n_open = n_both if n_both > 0 else n_open
     half = draw_edge(world, rules, learner, lane, r, n_open)
-    if (rules.split == SPLIT_TEAM or site.picks < 2) and not _among(picks, first, site.picks, half):
+    if rules.split == SPLIT_TEAM or (site.picks < 2 and not _among(picks, first, site.picks, half)):
         picks[first + site.picks] = half
         site.picks += 1
     return half
@@ -586,6 +586,12 @@ def move(world, rules, learner, lane):
 
 
 @inline
+def place_of(world, robot):
+    """Return the number of the place at which a robot is: its node, or its half-edge counted on from the nodes."""
+    return np.uint32(np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
+
+
+@inline
 def touch(lane, place):
     """Have a place regrouped at the end of the step: teams there may change."""
     count, place = lane.count[0], np.uint32(place)
@@ -628,7 +634,7 @@ def unsettle(world, lane, r):
     robot, count = lane.robots[r], lane.count[0]
     if robot.unsettled == 1:
         return
-    at = np.uint32(np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
+    at = place_of(world, robot)
     place = lane.places[at]
     if place.unsettled == count.tick:
         touch(lane, at)
@@ -820,9 +826,9 @@ def regroup(world, rules, learner, lane, place):
 
 @inline
 def settle(world, rules, learner, lane, r):
-    """Plan a robot anew, whose team stays as it is, unless its place is regrouped anyway."""
+    """Plan a robot anew by itself: its team stays as it is. If it meets one or parts now, its place is regrouped."""
     robot, tick = lane.robots[r], lane.count[0].tick
-    place = np.uint32(np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
+    place = place_of(world, robot)
     robot.unsettled = 0
     if robot.alive == 0 or lane.places[place].touched == tick:
         return
@@ -923,9 +929,9 @@ def meeting(lane, r, wakes, n_classes):
 
 @inline
 def catches_up(gap, faster, tick, wakes):
-    """Return when a robot that is ``faster`` (mm per step) and ``gap`` (mm) behind has caught up, ``wakes`` at the latest.
+    """Return when a robot that is ``faster`` (mm per step) and ``gap`` (mm) behind catches up, ``wakes`` at the latest.
 
-    From where both are at one place they part: that is in the next step.
+    If there is no gap, they part in the next step.
     """
     if rarely((gap == 0) & (faster != 0)):
         return tick + 1

@@ -180,7 +180,8 @@ def main():
         cell(mission)
         seconds, _ = best(lambda mission=mission: cell(mission))
         print(f"{name}: a cell (220 traversals + 3 x 100 trials) takes {seconds:.3f} s (bar 0.15)")
-        speed, other = rate(mission), cart_pole_rate()
+        pairs = [(rate(mission), cart_pole_rate()) for _ in range(3)]  # in turns, so that the load hits both
+        speed, other = map(max, zip(*pairs, strict=True))
         print(f"{name}: {speed / 1e6:.1f} million robot-steps per second (goal 66)")
         print(f"{name}: {speed / other:.2f} x the steps per second of vectorised CartPole in the same run (goal 3)")
     print(f"evaluate: {python_overhead(mission):.2f} us per episode of one step, the kernel included (bar 1 beyond it)")

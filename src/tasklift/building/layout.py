@@ -27,17 +27,19 @@ ROBOT = _record(  # 128 bytes
     node="u4", half="i4", next="i4", came="i4",  # the last node; half, next, came: -1 for none
     row="i4", seen="i4",  # at its last decision: its input of Table I, and its row of the mission's table
     pair_row="u4", out="u4", decisions="u4", choices="u4",
-    noted="u4",  # where the agenda has when it wakes
+    noted="u4",  # the entry of the agenda that holds its bit
     team="u4", after="i4", before="i4", arrived="i4",  # the step in which it came to `node`
     alert="i4", goal="i4", alarmed="i4",  # the node that it heads for, -1 for none; what DL and GL add to the input
     alive="u1", due="u1", going="u1", repelled="u1", crossing="u1", stopping="u1", listens="u1", dl="u1",
-    unsettled="u1",
+    unsettled="u1",  # whether it is planned anew at the end of the step
 )  # fmt: skip
 SITE = _record(
     crossed="i8", failed="i8", picking="i8",  # the tick at which it last was
     faced="i4", unsearched="i4", armed_crossing="i4", stoppers="i4", picks="i4", hostile="u1", resolved="u1",
 )  # fmt: skip
-PLACE = _record(touched="i8", unsettled="i8", first="i4")  # a node, or N + a half-edge: the first robot, -1 for none
+PLACE = _record(  # a node, or N + a half-edge
+    touched="i8", unsettled="i8", first="i4",  # the ticks at which it, or a robot there, last was; a robot, -1: none
+)  # fmt: skip
 TEAM = _record(slowest="i8", lead="u4", size="i4", armed="i4", weapons="u1", due="u1", learned="u1")
 SLOT = _record(tick="i8", passed="i8", place="u4", team="u4")
 COUNT = _record(
@@ -116,8 +118,8 @@ class Lane(NamedTuple):
     awake: Any  # uint32 (R,): who wakes at a node, then who leaves a feature, ascending, first `count.awake` entries
     sites: Any  # SITE (N,)
     places: Any  # PLACE (N + H,)
-    touched: Any  # uint32 (N + H,): the places at which something changed in this step, first `count.touched` entries
-    unsettled: Any  # uint32 (R,): who is planned anew at the end of this step, first `count.unsettled` entries
+    touched: Any  # uint32 (N + H,): the places that are regrouped at the end of a step, first `count.touched` entries
+    unsettled: Any  # uint32 (R,): who is planned anew at the end of a step, first `count.unsettled` entries
     rooms: Any  # uint32 (N,): rooms that are being searched, first `count.rooms_open` entries
     picks: Any  # uint32 (H,): per node, the half-edges chosen in this step, in order
     open: Any  # uint32 (largest degree,): the half-edges that a robot may take

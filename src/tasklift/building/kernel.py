@@ -46,6 +46,7 @@ SPLIT_ROBOTS, SPLIT_PAIRS, SPLIT_TEAM = 0, 1, 2  # rule 7
 SHARE_NONE, SHARE_TEAM, SHARE_RADIO = 0, 1, 2  # rule 12
 TIME_NONE, TIME_INVERTED, TIME_BASELINE = 0, 1, 2  # rule 19
 NEVER = np.int64(2**62)  # a tick that does not come
+ARRIVES, DECIDES = np.int64(0), np.int64(1)  # what a robot wakes for
 GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input that the task leaves out
 
 _sum_up = inline(scalar.sum_up)
@@ -168,7 +169,7 @@ def wake_teams(rules, lane):
         r = lane.roster[i]
         robots[r].due = teams[robots[r].team].due
         if robots[r].due == 1:
-            lane.agenda[page(count.tick, r >> 6, 1)] |= bit_of(r)
+            lane.agenda[page(count.tick, r, DECIDES)] |= bit_of(r)
     for i in range(count.alive):
         teams[robots[lane.roster[i]].team].due = 0
 
@@ -187,17 +188,17 @@ def decide(world, rules, learner, lane):
     """
     robots, count = lane.robots, lane.count[0]
     began, n_awake = False, 0
-    for word in range(words(lane)):
-        bits = lane.agenda[page(count.tick, word, 1)]
+    for first in range(0, robots.shape[0], 64):
+        bits = lane.agenda[page(count.tick, np.uint32(first), DECIDES)]
         while bits != 0:
-            r = lowest_robot(word, bits)
+            r = lowest_robot(first, bits)
             bits &= bits - np.uint64(1)
             robot = robots[r]
             if robot.due == 1 or count.tick >= robot.decided + rules.patience:
                 take_output(world, rules, learner, lane, r)
             robot.crossing = 0
             if rarely(robot.half >= 0):
-                lane.agenda[page(count.tick, word, 0)] |= bit_of(r)
+                lane.agenda[page(count.tick, r, ARRIVES)] |= bit_of(r)
                 continue
             lane.awake[np.uint64(n_awake)] = r
             n_awake += 1
@@ -241,7 +242,7 @@ def _listen(world, rules, lane, r):
     for k in range(node.near_first, node.near_last):
         site = lane.sites[world.near[k]]
         if site.stoppers > 0 and site.resolved == 0:
-            hear(world, rules, lane, r, 1, world.near[k])
+            hear(world, rules, lane, r, np.int64(1), np.int64(world.near[k]))
             lane.count[0].messages += 1
             return
 
@@ -527,14 +528,14 @@ def arrive(world, rules, lane, r):
         lane.rooms[count.rooms_open] = half.to
         count.rooms_open += 1
     stay_alone(world, rules, lane, r)
-    schedule(lane, r, count.tick + 1, 1)
+    schedule(lane, r, count.tick + 1, DECIDES)
 
 
 @inline
 def depart(world, rules, learner, lane, r):
     """Send a robot into the corridor that it chose, by its first step."""
     robot, tick = lane.robots[r], lane.count[0].tick
-    place = world.nodes.shape[0] + robot.next
+    place = np.uint32(world.nodes.shape[0] + robot.next)
     take_out(lane, r, robot.node)
     robot.half = robot.next
     robot.next = -1
@@ -543,7 +544,7 @@ def depart(world, rules, learner, lane, r):
     robot.arrives = _end_of_way(world, robot, tick)
     others = put_in(lane, r, place)
     if rarely(robot.arrives == tick):  # the corridor is so short
-        lane.agenda[page(tick, r >> 6, 0)] |= bit_of(r)
+        lane.agenda[page(tick, r, ARRIVES)] |= bit_of(r)
     elif lane.teams[robot.team].size > 1:
         touch(lane, place)
     elif others | (robot.unsettled == 1):
@@ -562,25 +563,25 @@ def _end_of_way(world, robot, tick):
 @inline
 def move(world, rules, learner, lane):
     """Send off those who faced a feature and were not held up, and take in who arrives."""
-    robots, count, n_nodes = lane.robots, lane.count[0], world.nodes.shape[0]
+    robots, count = lane.robots, lane.count[0]
     for i in range(count.awake):
         r = lane.awake[i]
         if robots[r].next >= 0:
             depart(world, rules, learner, lane, r)
         elif robots[r].alive == 1:
             unsettle(world, lane, r)
-    for word in range(words(lane)):
-        bits = lane.agenda[page(count.tick, word, 0)]
+    for first in range(0, robots.shape[0], 64):
+        bits = lane.agenda[page(count.tick, np.uint32(first), ARRIVES)]
         while bits != 0:
-            r = lowest_robot(word, bits)
+            r = lowest_robot(first, bits)
             bits &= bits - np.uint64(1)
             if rarely(robots[r].arrives > count.tick):
                 unsettle(world, lane, r)
             else:
-                take_out(lane, r, n_nodes + robots[r].half)
+                take_out(lane, r, place_of(world, robots[r]))
                 arrive(world, rules, lane, r)
-        lane.agenda[page(count.tick, word, 0)] = 0
-        lane.agenda[page(count.tick, word, 1)] = 0
+        lane.agenda[page(count.tick, np.uint32(first), ARRIVES)] = 0
+        lane.agenda[page(count.tick, np.uint32(first), DECIDES)] = 0
 
 
 # --- who is where ------------------------------------------------------------------------------------------------
@@ -595,7 +596,7 @@ def place_of(world, robot):
 @inline
 def touch(lane, place):
     """Have a place regrouped at the end of the step: teams there may change."""
-    count, place = lane.count[0], np.uint32(place)
+    count = lane.count[0]
     if lane.places[place].touched != count.tick:
         lane.places[place].touched = count.tick
         lane.touched[count.touched] = place
@@ -605,7 +606,6 @@ def touch(lane, place):
 @inline
 def put_in(lane, r, place):
     """Enter a robot in the list of those at a place; return whether there are others."""
-    place = np.uint32(place)
     robot, first = lane.robots[r], lane.places[place].first
     robot.before = -1
     robot.after = first
@@ -618,7 +618,7 @@ def put_in(lane, r, place):
 @inline
 def take_out(lane, r, place):
     """Take a robot out of the list of those at a place; what is left of its team is regrouped."""
-    place, before, after = np.uint32(place), lane.robots[r].before, lane.robots[r].after
+    before, after = lane.robots[r].before, lane.robots[r].after
     if before >= 0:
         lane.robots[before].after = after
     else:
@@ -686,14 +686,15 @@ def form_teams(world, rules, lane, place):
     robots, maps = lane.robots, lane.maps
     at_node, first = place < world.nodes.shape[0], lane.places[place].first
     differ = False
-    r = first
-    while r >= 0:
+    following = first
+    while following >= 0:
+        r = np.uint32(following)
         robot = robots[r]
         t = np.uint32(first)
         if not at_node:
             come_along(lane, robot)
             if robot.passed != robots[first].passed:
-                t = team_at(lane.slots, lane.count[0].tick, place, robot.passed, np.uint32(r))
+                t = team_at(lane.slots, lane.count[0].tick, place, robot.passed, r)
         if t == r:
             found_team(world, rules, lane, r)
         else:
@@ -701,7 +702,7 @@ def form_teams(world, rules, lane, place):
             if rules.share_map == SHARE_TEAM:
                 for w in range(maps.shape[1]):
                     differ |= maps[r, w] != maps[t, w]
-        r = robot.after
+        following = robot.after
     if rarely(differ):
         pool(lane, first)
 
@@ -810,7 +811,7 @@ def regroup(world, rules, learner, lane, place):
         plan(world, rules, learner, lane, r)
         return
     form_teams(world, rules, lane, place)
-    n_classes = 0
+    n_classes = np.int64(0)
     while first >= 0:
         r = np.uint32(first)
         first = lane.robots[r].after
@@ -820,7 +821,7 @@ def regroup(world, rules, learner, lane, place):
         meets = wakes
         if place >= world.nodes.shape[0]:
             meets, n_classes = meeting(lane, r, wakes, n_classes)
-        schedule(lane, r, meets, decides if meets == wakes else np.int64(0))
+        schedule(lane, r, meets, decides if meets == wakes else ARRIVES)
 
 
 @inline
@@ -846,7 +847,7 @@ def settle(world, rules, learner, lane, r):
                     touch(lane, place)
                 meets = catches_up(gap, robot.pace - lane.robots[q].pace, tick, meets)
             other = lane.robots[q].after
-    schedule(lane, r, meets, decides if meets == wakes else np.int64(0))
+    schedule(lane, r, meets, decides if meets == wakes else ARRIVES)
 
 
 # --- who wakes when -----------------------------------------------------------------------------------------------
@@ -889,9 +890,9 @@ def waking(rules, lane, r):
     """
     robot, tick = lane.robots[r], lane.count[0].tick
     if robot.due == 0:
-        wakes, decides, row = robot.decided + rules.patience, np.int64(1), _row_of(lane, robot)
+        wakes, decides, row = robot.decided + rules.patience, DECIDES, _row_of(lane, robot)
         if robot.half >= 0:
-            decides = np.int64(wakes <= robot.arrives)
+            decides = DECIDES if wakes <= robot.arrives else ARRIVES
             wakes = min(wakes, robot.arrives)
         else:
             site = lane.sites[robot.node]
@@ -902,7 +903,7 @@ def waking(rules, lane, r):
             # what is further off than the agenda reaches wakes it earlier, for nothing
             return min(wakes, tick + AGENDA - 1), decides
         robot.due = 1  # rule 6; the row itself is noted when it decides
-    return tick + 1, np.int64(1)
+    return tick + 1, DECIDES
 
 
 @inline
@@ -941,11 +942,11 @@ def catches_up(gap, faster, tick, wakes):
 
 @inline
 def schedule(lane, r, tick, decides):
-    """Note that robot r, for whom nothing is noted, wakes at a tick: to decide or leave (1), or else to arrive (0).
+    """Note that robot r, for whom nothing is noted, wakes at a tick: to decide or leave, or else to arrive.
 
     The tick is at most ``AGENDA - 1`` ahead.
     """
-    at = page(tick, r >> 6, decides)
+    at = page(tick, r, decides)
     lane.robots[r].noted = at
     lane.agenda[at] |= bit_of(r)
 
@@ -957,15 +958,9 @@ def cancel(lane, r):
 
 
 @inline
-def page(tick, word, decides):
-    """Return where the agenda has a tick's bits: of robots 64 * word and following, to decide (1) or to arrive (0)."""
-    return np.uint64((((word * AGENDA) | (tick & (AGENDA - 1))) << 1) | decides)
-
-
-@inline
-def words(lane):
-    """Return how many words of 64 bits hold one for each robot."""
-    return lane.agenda.shape[0] // (2 * AGENDA)
+def page(tick, r, decides):
+    """Return where the agenda has a tick's word of 64 bits, robot r's among them, for ``DECIDES`` or ``ARRIVES``."""
+    return np.uint64(((((r >> 6) * AGENDA) | (tick & (AGENDA - 1))) << 1) | decides)
 
 
 @inline
@@ -975,9 +970,9 @@ def bit_of(r):
 
 
 @inline
-def lowest_robot(word, bits):
-    """Return the number of the first robot of a word that has its bit; there is one."""
-    return np.uint32(word << 6) + np.uint32(lowest_bit(bits))
+def lowest_robot(first, bits):
+    """Return the lowest robot that has its bit in a word, which begins with robot ``first``; there is one."""
+    return np.uint32(first + np.int64(lowest_bit(bits)))
 
 
 # --- a step -------------------------------------------------------------------------------------------------------
@@ -1209,7 +1204,7 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.pace = 0
         robot.due = 1
         robot.decided = count.tick + 1  # the first decision falls due then
-        schedule(lane, np.uint32(r), count.tick + 1, 1)
+        schedule(lane, np.uint32(r), count.tick + 1, DECIDES)
         robot.row = -1
         robot.seen = -1
         robot.arrived = 0
@@ -1227,8 +1222,10 @@ def begin_trial(world, rules, lane, trial_key, place_key):
         robot.unsettled = 0
         robot.decisions = 0
         robot.choices = 0
-        put_in(lane, r, rules.start)
-    form_teams(world, rules, lane, rules.start)
+        put_in(lane, np.uint32(r), np.uint32(rules.start))
+    found_team(world, rules, lane, np.uint32(0))
+    for r in range(1, n_robots):
+        join_team(world, rules, lane, np.uint32(r), np.uint32(0))
     count.rooms_open = 1 if world.search[rules.start] > 0 else 0
     lane.rooms[0] = rules.start
 
@@ -1258,46 +1255,30 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
 
 
 @inline
-def run_trials(world, rules, learner, lane, stage_key, place_key, first_trial, fixed, max_losses, table, left):
-    """Run trials one after the other, learning as they go; see :func:`run` for what comes in and goes out."""
+def copy(weights, to):
+    """Copy a table of weights (S, A) entry by entry: assignment of a whole table would allocate."""
+    for row in range(weights.shape[0]):
+        for out in range(weights.shape[1]):
+            to[row, out] = weights[row, out]
+
+
+@inline
+def record(world, lane, steps, success, row, left):
+    """Write out how a trial ended: a row of ``table`` and of ``left``, see :func:`run`."""
     count = lane.count[0]
-    total_steps = 0
-    total_losses = 0
-    for n in range(fixed.shape[0]):
-        if 0 <= max_losses <= total_losses:
-            return n, 0
-        begin_trial(world, rules, lane, absorb(stage_key, first_trial + n), place_key)
-        # with one output that stops everybody, a step without any change repeats itself to the end
-        stuck = fixed[n] >= 0 and learner.outputs[max(fixed[n], 0)].mv == 0
-        stuck = stuck and (learner.sweep_all == 1 or learner.learn == 0)
-        for r in range(lane.given.shape[0]):
-            lane.given[r] = fixed[n]
-        state = GOES_ON
-        while state == GOES_ON:
-            messages, searching = count.messages, count.rooms_open > 0
-            state = _step(world, rules, learner, lane)
-            if stuck and not searching and count.messages == messages and state == GOES_ON:
-                state = FAILURE
-        if state == OUTSIDE:
-            return n, count.outside
-        success = state == SUCCESS
-        steps = end_trial(rules, learner, lane, success, fixed[n], total_steps / n if n > 0 else -1.0)
-        total_steps += steps
-        total_losses += count.losses
-        table[n, 0] = steps
-        table[n, 1] = 1 if success else 0
-        table[n, 2] = count.losses
-        table[n, 3] = 0
-        table[n, 4] = count.hostiles_left
-        table[n, 5] = lane.visited.shape[0] - count.edges_left
-        table[n, 6] = count.messages
-        for k in range(left.shape[1]):
-            left[n, k] = 0
-        for i in range(count.alive):
-            r = lane.roster[i]
-            left[n, world.members[r].kind] += 1
-            table[n, 3] += 1 if lane.robots[r].team == r else 0  # a team is numbered by one of its members
-    return fixed.shape[0], 0
+    row[0] = steps
+    row[1] = 1 if success else 0
+    row[2] = count.losses
+    row[3] = 0
+    row[4] = count.hostiles_left
+    row[5] = lane.visited.shape[0] - count.edges_left
+    row[6] = count.messages
+    for k in range(left.shape[0]):
+        left[k] = 0
+    for i in range(count.alive):
+        r = lane.roster[i]
+        left[world.members[r].kind] += 1
+        row[3] += 1 if lane.robots[r].team == r else 0  # a team is numbered by one of its members
 
 
 @_entry
@@ -1327,18 +1308,36 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
     done
         int64 (J, 2), out: the number of trials run, and 0 or 1 + the input outside the task at which the job stopped.
     """
+    count = lane.count[0]
     for j in range(jobs.shape[0]):
         p, first, last = jobs[j, 0], jobs[j, 1], jobs[j, 2]
-        for row in range(weights.shape[1]):
-            lane.stale[row] = 0
-            for out in range(weights.shape[2]):
-                lane.weights[row, out] = weights[p, row, out]
-        n, outside = run_trials(
-            world, rules, learner, lane, keys[p, 0], keys[p, 1], first_trial + first, fixed[first:last], max_losses,
-            table[p, first:last], left[p, first:last],
-        )  # fmt: skip
-        done[j, 0], done[j, 1] = n, outside
+        copy(weights[p], lane.weights)
+        lane.stale[:] = 0
+        done[j, 0], done[j, 1] = last - first, 0
+        total_steps, total_losses = 0, 0
+        for n in range(first, last):
+            if 0 <= max_losses <= total_losses:
+                done[j, 0] = n - first
+                break
+            begin_trial(world, rules, lane, absorb(keys[p, 0], first_trial + n), keys[p, 1])
+            # with one output that stops everybody, a step without any change repeats itself to the end
+            stuck = fixed[n] >= 0 and learner.outputs[max(fixed[n], 0)].mv == 0
+            stuck = stuck and (learner.sweep_all == 1 or learner.learn == 0)
+            for r in range(lane.given.shape[0]):
+                lane.given[r] = fixed[n]
+            state = GOES_ON
+            while state == GOES_ON:
+                messages, searching = count.messages, count.rooms_open > 0
+                state = _step(world, rules, learner, lane)
+                if stuck and not searching and count.messages == messages and state == GOES_ON:
+                    state = FAILURE
+            if state == OUTSIDE:
+                done[j, 0], done[j, 1] = n - first, count.outside
+                break
+            mean_steps = total_steps / (n - first) if n > first else -1.0
+            steps = end_trial(rules, learner, lane, state == SUCCESS, fixed[n], mean_steps)
+            total_steps += steps
+            total_losses += count.losses
+            record(world, lane, steps, state == SUCCESS, table[p, n], left[p, n])
         if learner.learn == 1:
-            for row in range(weights.shape[1]):
-                for out in range(weights.shape[2]):
-                    weights[p, row, out] = lane.weights[row, out]
+            copy(lane.weights, weights[p])

@@ -5,9 +5,10 @@
 ``make instructions ARGS=--parts`` shows by source function where they go in the first episodes, and where valgrind's
 simulated processor guesses branches wrong.
 
-The count is the difference between runs of 1,042 and 42 episodes (trials) of the paper's mission, learning from equal
-weights, so that the start of Python and of Numba cancels out. The kernel is compiled for a generic processor: valgrind
-shows programs another processor than the machine has, and counts would differ between machines.
+The count is the difference between runs of 242 and 42 episodes (trials) of the paper's mission, learning from equal
+weights. Only the compiled kernel is counted: the start of Python alone varies by more than a change of the kernel. The
+kernel is compiled for a generic processor: valgrind shows programs another processor than the machine has, and counts
+would differ between machines.
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from bisect import bisect_right
 from collections import Counter
 from pathlib import Path
 
-FEW, MANY = 42, 1042
+FEW, MANY = 42, 242
+CODE = 2**20  # bytes from the kernel's first instruction on in which nothing else of the process lies
 WORKLOADS = ("scattered", "cohesive", "scattered, with a sensor of one's own")
 ALLOWED = 1.10
 RECORD = Path(__file__).with_suffix(".json")
+Line = tuple[int, int, str]  # distance from the kernel's start, instructions executed there, and what else was counted
 GENERIC = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "PYTHONHASHSEED": "0"}
 
 
@@ -79,23 +82,32 @@ def dump(workload: str, file: Path) -> None:
     file.write_bytes(pickle.dumps(parts))
 
 
-def run(file: Path, episodes: int, watched: bool) -> tuple[int, int]:
-    """Return the instructions (0 if not watched) and robot-steps of a worker."""
-    command = [sys.executable, __file__, "--work", str(file), str(episodes)]
-    if watched:
-        command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *command]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | GENERIC)
-    counted = re.search(r"Collected : (\d+)", done.stderr)
-    return int(counted[1]) if counted else 0, int(done.stdout.split()[0])
+def watch(worker: list[str], folder: Path, environment: dict[str, str], *options: str) -> tuple[str, list[Line]]:
+    """Run a worker under valgrind; return what it printed, and the lines of the profile that are the kernel's."""
+    profile = folder / "counts"
+    command = ["valgrind", "--tool=callgrind", "--dump-instr=yes", "--compress-pos=no", *options,
+               f"--callgrind-out-file={profile}", *worker]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    start = int(done.stdout.split()[1])
+    lines = re.findall(r"^(?:calls=\d+ 0x(\S+) .*\n)?0x([0-9a-f]+) \S+ (\d+)((?: \d+)*)$", profile.read_text(), re.M)
+    ours = [(int(at, 16) - start, int(executed), branches) for called, at, executed, branches in lines
+            if not (called and 0 <= int(called, 16) - start < CODE)]  # a call's line has what the called one took
+    return done.stdout, [line for line in ours if 0 <= line[0] < CODE]
 
 
 def count(workload: str) -> float:
     """Return the instructions per robot-step of a workload."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "workload"
-        dump(workload, file)
-        run(file, 1, watched=False)  # compiles, so that valgrind finds the kernel in Numba's cache
-        (few, few_steps), (many, many_steps) = (run(file, episodes, watched=True) for episodes in (FEW, MANY))
+    environment, found = os.environ | GENERIC, []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        dump(workload, folder / "workload")
+        worker = [sys.executable, __file__, "--work", str(folder / "workload")]
+        # compiles, so that valgrind finds the kernel in Numba's cache
+        subprocess.run([*worker, "1"], check=True, env=environment, capture_output=True)
+        for episodes in (FEW, MANY):
+            printed, lines = watch([*worker, str(episodes)], folder, environment)
+            found.append((int(printed.split()[0]), sum(executed for _, executed, _ in lines)))
+    (few_steps, few), (many_steps, many) = found
     return (many - few) / (many_steps - few_steps)
 
 
@@ -107,18 +119,15 @@ def parts(workload: str) -> None:
         dump(workload, folder / "workload")
         worker = [sys.executable, __file__, "--work", str(folder / "workload")]
         subprocess.run([*worker, "1", str(folder / "code.o")], check=True, env=environment, capture_output=True)
-        watch = ["valgrind", "--tool=callgrind", "--dump-instr=yes", "--branch-sim=yes", "--compress-pos=no",
-                 f"--callgrind-out-file={folder / 'counts'}", *worker, str(2 * FEW)]  # fmt: skip
-        watched = subprocess.run(watch, check=True, env=environment, capture_output=True, text=True)
-        steps, address, symbol = watched.stdout.split()
+        printed, lines = watch([*worker, str(2 * FEW)], folder, environment, "--branch-sim=yes")
+        steps, _, symbol = printed.split()
         owners = _owners(folder / "code.o", symbol)
-        counts = re.findall(r"^0x([0-9a-f]+) \S+ (\d+)((?: \d+)*)$", (folder / "counts").read_text(), re.MULTILINE)
     instructions: Counter[str] = Counter()
     wrong: Counter[str] = Counter()
-    for at, executed, branches in counts:
-        owner = owners.get(int(at, 16) - int(address))
+    for at, executed, branches in lines:
+        owner = owners.get(at)
         if owner is not None:
-            instructions[owner] += int(executed)
+            instructions[owner] += executed
             wrong[owner] += int([*branches.split(), "0", "0"][1])  # branches, and those guessed wrong
     for owner, number in [("all", instructions.total()), *instructions.most_common()]:
         guessed = wrong.total() if owner == "all" else wrong[owner]

@@ -685,15 +685,13 @@ def form_teams(world, rules, lane, place):
     """Find the teams at a place (rule 4), numbered by one of their members; pool their maps (rule 12)."""
     robots, maps = lane.robots, lane.maps
     at_node, first = place < world.nodes.shape[0], lane.places[place].first
-    differ = False
-    following = first
+    differ, following, t = False, first, np.uint32(first)
     while following >= 0:
         r = np.uint32(following)
         robot = robots[r]
-        t = np.uint32(first)
         if not at_node:
             come_along(lane, robot)
-            if robot.passed != robots[first].passed:
+            if (following == first) | (robot.passed != robots[t].passed):
                 t = team_at(lane.slots, lane.count[0].tick, place, robot.passed, r)
         if t == r:
             found_team(world, rules, lane, r)
@@ -811,7 +809,7 @@ def regroup(world, rules, learner, lane, place):
         plan(world, rules, learner, lane, r)
         return
     form_teams(world, rules, lane, place)
-    n_classes = np.int64(0)
+    n_classes, passed, pace = np.int64(0), np.int64(-1), np.int64(-1)
     while first >= 0:
         r = np.uint32(first)
         first = lane.robots[r].after
@@ -819,8 +817,10 @@ def regroup(world, rules, learner, lane, place):
         keep_pace(world, learner, lane, r)
         wakes, decides = waking(rules, lane, r)
         meets = wakes
-        if place >= world.nodes.shape[0]:
+        robot = lane.robots[r]
+        if (place >= world.nodes.shape[0]) & ((robot.passed != passed) | (robot.pace != pace)):
             meets, n_classes = meeting(lane, r, wakes, n_classes)
+            passed, pace = robot.passed, np.int64(robot.pace)
         schedule(lane, r, meets, decides if meets == wakes else ARRIVES)
 
 

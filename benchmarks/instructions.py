@@ -25,6 +25,7 @@ import sys
 import tempfile
 from bisect import bisect_right
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 FEW, MANY = 42, 242
@@ -84,7 +85,7 @@ def dump(workload: str, file: Path) -> None:
 
 def watch(worker: list[str], folder: Path, environment: dict[str, str], *options: str) -> tuple[str, list[Line]]:
     """Run a worker under valgrind; return what it printed, and the lines of the profile that are the kernel's."""
-    profile = folder / "counts"
+    profile = folder / f"counts-{worker[-1]}"
     command = ["valgrind", "--tool=callgrind", "--dump-instr=yes", "--compress-pos=no", *options,
                f"--callgrind-out-file={profile}", *worker]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
@@ -104,9 +105,10 @@ def count(workload: str) -> float:
         worker = [sys.executable, __file__, "--work", str(folder / "workload")]
         # compiles, so that valgrind finds the kernel in Numba's cache
         subprocess.run([*worker, "1"], check=True, env=environment, capture_output=True)
-        for episodes in (FEW, MANY):
-            printed, lines = watch([*worker, str(episodes)], folder, environment)
-            found.append((int(printed.split()[0]), sum(executed for _, executed, _ in lines)))
+        with ThreadPoolExecutor(2) as both:
+            seen = both.map(lambda episodes: watch([*worker, str(episodes)], folder, environment), (FEW, MANY))
+            for printed, lines in seen:
+                found.append((int(printed.split()[0]), sum(executed for _, executed, _ in lines)))
     (few_steps, few), (many_steps, many) = found
     return (many - few) / (many_steps - few_steps)
 

@@ -38,7 +38,8 @@ from tasklift.building.randomness import (
 from tasklift.tasks import choice as scalar
 from tasklift.tasks.choice import rarely
 
-_entry = njit(nogil=True, cache=True, **UNCHECKED)
+# what Python calls
+_entry = njit(nogil=True, cache=True, no_cfunc_wrapper=True, **UNCHECKED)
 
 # --- names of the numbers in `Rules` and `Learner`, and of what a step returns -----------------------------------
 
@@ -60,13 +61,13 @@ _against_mean = inline(scalar.time_baseline)
 # --- keys of random draws: see tasklift.building.randomness ------------------------------------------------------
 
 
-@njit(cache=True)
+@_entry
 def child_key(key, value):
     """Return :func:`absorb` of an int64, callable from Python."""
     return absorb(key, value)
 
 
-@njit(cache=True)
+@_entry
 def keys(seed, map_id, stage):
     """Return the uint64 keys of a stage's trials and of the hostiles' places."""
     place_key = absorb(absorb(np.uint64(0), seed), map_id)
@@ -1082,7 +1083,7 @@ def begin_many(world, rules, steered, which):
         i = which[k]
         lane = _lane(steered.lanes, i)
         steered.trials[i] += 1
-        begin_trial(world, rules, lane, absorb(steered.keys[i, 0], steered.trials[i]), steered.keys[i, 1])
+        _begin_trial(world, rules, lane, absorb(steered.keys[i, 0], steered.trials[i]), steered.keys[i, 1])
         steered.state[i] = GOES_ON
         steered.lost[i] = 0
         steered.rewards[i] = 0.0
@@ -1159,8 +1160,8 @@ def place_hostiles(world, rules, lane, place_key):
         lane.sites[node].hostile = 1
 
 
-@_entry
-def begin_trial(world, rules, lane, trial_key, place_key):
+@inline
+def _begin_trial(world, rules, lane, trial_key, place_key):
     """Put everyone at the start with an empty map; hide the hostiles."""
     count = lane.count[0]
     n_robots = world.members.shape[0]
@@ -1230,8 +1231,8 @@ def begin_trial(world, rules, lane, trial_key, place_key):
     lane.rooms[0] = rules.start
 
 
-@_entry
-def end_trial(rules, learner, lane, success, fixed, mean_steps):
+@inline
+def _end_trial(rules, learner, lane, success, fixed, mean_steps):
     """Apply the global time signal (rules 18 and 19); return the trial's steps (a failure counts as the limit)."""
     count = lane.count[0]
     steps = count.step if success else rules.limit
@@ -1252,6 +1253,18 @@ def end_trial(rules, learner, lane, success, fixed, mean_steps):
                     reinforce(learner, lane, row, np.int64(lowest_bit(bits)) + 64 * word, signal)
                     bits &= bits - np.uint64(1)
     return steps
+
+
+@_entry
+def begin_trial(world, rules, lane, trial_key, place_key):
+    """Run :func:`_begin_trial`; a door from Python, as :func:`step`."""
+    _begin_trial(world, rules, lane, trial_key, place_key)
+
+
+@_entry
+def end_trial(rules, learner, lane, success, fixed, mean_steps):
+    """Run :func:`_end_trial`; a door from Python, as :func:`step`."""
+    return _end_trial(rules, learner, lane, success, fixed, mean_steps)
 
 
 @inline
@@ -1319,7 +1332,7 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
             if 0 <= max_losses <= total_losses:
                 done[j, 0] = n - first
                 break
-            begin_trial(world, rules, lane, absorb(keys[p, 0], first_trial + n), keys[p, 1])
+            _begin_trial(world, rules, lane, absorb(keys[p, 0], first_trial + n), keys[p, 1])
             # with one output that stops everybody, a step without any change repeats itself to the end
             stuck = fixed[n] >= 0 and learner.outputs[max(fixed[n], 0)].mv == 0
             stuck = stuck and (learner.sweep_all == 1 or learner.learn == 0)
@@ -1335,7 +1348,7 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
                 done[j, 0], done[j, 1] = n - first, count.outside
                 break
             mean_steps = total_steps / (n - first) if n > first else -1.0
-            steps = end_trial(rules, learner, lane, state == SUCCESS, fixed[n], mean_steps)
+            steps = _end_trial(rules, learner, lane, state == SUCCESS, fixed[n], mean_steps)
             total_steps += steps
             total_losses += count.losses
             record(world, lane, steps, state == SUCCESS, table[p, n], left[p, n])

@@ -38,8 +38,8 @@ from tasklift.building.randomness import (
 from tasklift.tasks import choice as scalar
 from tasklift.tasks.choice import rarely
 
-# what Python calls
-_entry = njit(nogil=True, cache=True, no_cfunc_wrapper=True, **UNCHECKED)
+# What Python calls, and nothing else does: no wrapper for C.
+_entry = njit(nogil=True, cache=True, **(UNCHECKED | {"no_cfunc_wrapper": True}))
 
 # --- names of the numbers in `Rules` and `Learner`, and of what a step returns -----------------------------------
 

@@ -33,7 +33,7 @@ test: $(STAMP) chromium  ## everything CI runs: lint, types, import contracts, t
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -m "not slow" $(ARGS)
+	$(BIN)/pytest -m "not slow" --numprocesses auto --dist loadfile $(ARGS)
 
 test-slow: $(STAMP)  ## the tests that are slow by nature
 	$(BIN)/pytest -m slow $(ARGS)

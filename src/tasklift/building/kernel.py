@@ -28,6 +28,7 @@ from tasklift.building.randomness import (
     FIRST,
     GOLDEN,
     GREEDY_COIN,
+    INNER,
     OUTPUT_DRAW,
     PLACE_DRAW,
     UNCHECKED,
@@ -40,6 +41,7 @@ from tasklift.tasks.choice import rarely
 
 # What Python calls, and nothing else does: no wrapper for C.
 _entry = njit(nogil=True, cache=True, **(UNCHECKED | {"no_cfunc_wrapper": True}))
+_once_a_trial = njit(**INNER)  # inlined, it would take registers from the steps
 
 # --- names of the numbers in `Rules` and `Learner`, and of what a step returns -----------------------------------
 
@@ -1160,7 +1162,7 @@ def place_hostiles(world, rules, lane, place_key):
         lane.sites[node].hostile = 1
 
 
-@inline
+@_once_a_trial
 def _begin_trial(world, rules, lane, trial_key, place_key):
     """Put everyone at the start with an empty map; hide the hostiles."""
     count = lane.count[0]
@@ -1231,7 +1233,7 @@ def _begin_trial(world, rules, lane, trial_key, place_key):
     lane.rooms[0] = rules.start
 
 
-@inline
+@_once_a_trial
 def _end_trial(rules, learner, lane, success, fixed, mean_steps):
     """Apply the global time signal (rules 18 and 19); return the trial's steps (a failure counts as the limit)."""
     count = lane.count[0]

@@ -49,9 +49,9 @@ def work(file: str, episodes: int, machine_code: Path | None = None) -> None:
     inputs, world, rules, learner, lane, keys = pickle.loads(Path(file).read_bytes())
     kernel = kernel_for(inputs)
     table, left = np.zeros((1, episodes, 7), np.int64), np.zeros((1, episodes, 2), np.int64)
-    jobs, done = np.array([[0, 0, episodes]]), np.zeros((1, 2), np.int64)
+    jobs, taken, done = np.array([[0, 0, episodes]]), np.zeros(1, np.int64), np.zeros((1, 2), np.int64)
     weights, drawn = np.full((1, *lane.weights.shape), 1.5), np.full(episodes, -1)
-    kernel.run(world, rules, learner, lane, keys, 0, drawn, -1, weights, jobs, table, left, done)
+    kernel.run(world, rules, learner, lane, keys, 0, drawn, -1, weights, jobs, taken, table, left, done)
     compiled = next(iter(kernel.run.overloads.values()))
     name = compiled.fndesc.llvm_func_name
     print(int(lane.count["robot_steps"][0]), compiled.library.get_pointer_to_function(name), name)

@@ -235,9 +235,9 @@ simulator = mission.simulator
 lane, learner = simulator.lane(mission.task.shape), simulator.learner(mission.task, tl.Reinforcement())
 keys = np.array([simulator.keys(seed, 2) for seed in seeds])
 jobs = np.array([[run, 0, trials] for run in range(lanes)])
-table, left, done = (np.zeros(shape, np.int64) for shape in ((lanes, trials, 7), (lanes, trials, 2), (lanes, 2)))
-drawn = np.full(trials, -1)
-kernel.run(simulator.world, simulator.rules, learner, lane, keys, 0, drawn, -1, weights.copy(), jobs, table, left, done)
+drawn, taken, done = np.full(trials, -1), np.zeros(1, np.int64), np.zeros((lanes, 2), np.int64)
+work = jobs, taken, *(np.zeros((lanes, trials, columns), np.int64) for columns in (7, 2)), done
+kernel.run(simulator.world, simulator.rules, learner, lane, keys, 0, drawn, -1, weights.copy(), *work)
 AGENT_STEPS = int(lane.count["robot_steps"][0])
 """
     for preset in ("scattered", "cohesive")

@@ -64,8 +64,9 @@ def robot_steps(mission, task, outputs, trials, weights=None):
     def run():
         lane = simulator.lane(task.shape)
         start = np.full((1, *task.shape), 1.5) if weights is None else weights[None].copy()
+        taken = np.zeros(1, np.int64)
         simulator.kernel.run(
-            simulator.world, simulator.rules, learner, lane, keys, 0, fixed, -1, start, jobs, table, left, done
+            simulator.world, simulator.rules, learner, lane, keys, 0, fixed, -1, start, jobs, taken, table, left, done
         )  # fmt: skip
         return int(lane.count["robot_steps"][0])
 

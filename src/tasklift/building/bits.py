@@ -37,7 +37,19 @@ def _count_eight(context: Any, rising: Any, first: Any, target: Any) -> Any:
     return types.int64(rising, types.int64, types.float64), build
 
 
+def _take_next(context: Any, counter: Any) -> Any:
+    """Return the number in an int64 (1,) and raise it by one, so that no two threads get the same."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])
+        number = array(context, builder, arguments[0]).data
+        return builder.atomic_rmw("add", number, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(counter), build
+
+
 lowest_bit: Any = intrinsic(_lowest_bit)
+take_next: Any = intrinsic(_take_next)
 _eight: Any = intrinsic(_count_eight)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 
 from tasklift.building import sensors
-from tasklift.building.bits import lowest_bit
+from tasklift.building.bits import lowest_bit, take_next
 from tasklift.building.layout import AGENDA, Lane
 from tasklift.building.randomness import (
     EDGE_DRAW,
@@ -1297,8 +1297,10 @@ def record(world, lane, steps, success, row, left):
 
 
 @_entry
-def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weights, jobs, table, left, done):
+def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weights, jobs, taken, table, left, done):
     """Run the trials of many runs, one job after the other; each job is a block of one run's trials.
+
+    Any number of threads may do so together, each with a lane of its own: whoever is free takes the next job.
 
     Parameters
     ----------
@@ -1316,6 +1318,8 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
         float64 (P, S, A), in and out. A run that learns is one job; its weights go on from trial to trial.
     jobs
         int64 (J, 3): the run, its first trial and the trial after its last, counted from 0.
+    taken
+        int64 (1,), in and out: the number of jobs that were taken.
     table
         int64 (P, n, 7), out: steps, success, losses, teams left, hostiles left, edges seen, messages.
     left
@@ -1324,7 +1328,8 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
         int64 (J, 2), out: the number of trials run, and 0 or 1 + the input outside the task at which the job stopped.
     """
     count = lane.count[0]
-    for j in range(jobs.shape[0]):
+    j = take_next(taken)
+    while j < jobs.shape[0]:
         p, first, last = jobs[j, 0], jobs[j, 1], jobs[j, 2]
         copy(weights[p], lane.weights)
         lane.stale[:] = 0
@@ -1356,3 +1361,4 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
             record(world, lane, steps, state == SUCCESS, table[p, n], left[p, n])
         if learner.learn == 1:
             copy(lane.weights, weights[p])
+        j = take_next(taken)

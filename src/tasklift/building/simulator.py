@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cached_property, lru_cache
-from itertools import count
 from threading import Timer
 from typing import Any
 
@@ -384,16 +383,16 @@ class Simulator:
         table = np.zeros((n_runs, trials, len(_TABLE)), np.int64)
         left = np.zeros((n_runs, trials, len(self.mission.team)), np.int64)
         jobs = _blocks(n_runs, trials, block)
-        done = np.zeros((len(jobs), 2), np.int64)
+        done, taken = np.zeros((len(jobs), 2), np.int64), np.zeros(1, np.int64)
 
-        def work(part: slice, lane: layout.Lane) -> None:
+        def work() -> None:
             self.kernel.run(
-                self.world, self.rules, learner, lane, keys, first_trial, fixed,
-                -1 if max_losses is None else max_losses, weights, jobs[part], table, left, done[part],
+                self.world, self.rules, learner, self.lane(task.shape), keys, first_trial, fixed,
+                -1 if max_losses is None else max_losses, weights, jobs, taken, table, left, done,
             )  # fmt: skip
 
         with _patience(self.kernel.run, self.mission.inputs):
-            _share_out(work, lambda: self.lane(task.shape), len(jobs), threads)
+            _share_out(work, taken, len(jobs), threads)
         outside = done[:, 1].nonzero()[0]
         if len(outside):
             self._refuse_input(task, int(done[outside[0], 1]) - 1)
@@ -657,26 +656,21 @@ def _patience(entry: Any, sensors: tuple[Sensor, ...]) -> Iterator[None]:
         timer.cancel()
 
 
-def _share_out(work: Any, lane: Any, n_jobs: int, threads: int | None) -> None:
-    """Call ``work(part, lane)`` for slices of the jobs on several threads, each with a lane of its own."""
+def _share_out(work: Callable[[], None], taken: NDArray[np.int64], n_jobs: int, threads: int | None) -> None:
+    """Call ``work`` on several threads, which share the jobs; an interrupt leaves those that nobody has taken."""
     if threads is None:
         threads = cores()
     whole_number(threads, "threads", 1, 4096)
     threads = min(threads, n_jobs)
     if threads <= 1:
-        work(slice(0, n_jobs), lane())
+        work()
         return
-    size = max(1, n_jobs // (64 * threads))  # small, since at the end all but one thread wait for the last slice
-    starts = count(0, size)  # a counter that threads may share: whoever is free takes the next slice
-
-    def take() -> None:
-        mine = lane()
-        while (start := next(starts)) < n_jobs:
-            work(slice(start, start + size), mine)
-
     with ThreadPoolExecutor(threads) as pool:
-        for future in [pool.submit(take) for _ in range(threads)]:
-            future.result()
+        try:
+            for future in [pool.submit(work) for _ in range(threads)]:
+                future.result()
+        finally:
+            taken[0] = n_jobs
 
 
 def _blocks(n_runs: int, trials: int, block: int) -> NDArray[np.int64]:

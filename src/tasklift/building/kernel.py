@@ -277,20 +277,19 @@ def open_edges(world, rules, lane, r):
     came = np.int64(-1) if back else robot.came
     # this and the other choices between few edges are not rare, but measured faster when laid out as if they were
     if rarely((came >= 0) & (node.last - node.first == 2)):  # nothing but to go on
-        is_open[0] = node.first + (world.halves[node.first].edge == came)
+        is_open[0] = node.first + (node.first == came)
         return 1
     n = 0
+    if (rules.unvisited_first == 1) & (robot.goal < 0):
+        for half in range(node.first, node.last):
+            is_open[np.uint64(n)] = half
+            n += not _knows(lane, r, world.halves[half].edge)
+        if n > 0:
+            return n
     for half in range(node.first, node.last):
         is_open[np.uint64(n)] = half
-        n += world.halves[half].edge != came
-    if rarely((n == 1) | (rules.unvisited_first == 0) | (robot.goal >= 0)):
-        return n
-    n_new = 0
-    for j in range(n):
-        if not _knows(lane, r, world.halves[is_open[j]].edge):
-            is_open[n_new] = is_open[j]
-            n_new += 1
-    return n_new if n_new > 0 else n
+        n += half != came
+    return n
 
 
 @inline
@@ -350,10 +349,7 @@ def choose_edge(world, rules, learner, lane, r):
     site, count = lane.sites[robot.node], lane.count[0]
     first = world.nodes[robot.node].first
     if rarely(learner.outputs[robot.out].back == 1) and robot.came >= 0:
-        half = np.uint32(first)
-        while world.halves[half].edge != robot.came:
-            half += np.uint32(1)
-        return half
+        return np.uint32(robot.came)
     n_open = open_edges(world, rules, lane, r)
     if rules.split == SPLIT_ROBOTS:
         return draw_edge(world, rules, learner, lane, r, n_open)
@@ -414,7 +410,7 @@ def cross(world, lane, r):
     """Mark the feature that robot r faces if its edge leads past it (rule 10); return whether it does."""
     robot, tick = lane.robots[r], lane.count[0].tick
     node, site = world.nodes[robot.node], lane.sites[robot.node]
-    if world.halves[robot.next].edge == robot.came and node.last - node.first > 1:
+    if robot.next == robot.came and node.last - node.first > 1:
         return False
     robot.crossing = 1
     if site.crossed != tick:
@@ -512,7 +508,7 @@ def arrive(world, rules, lane, r):
     robot, count = lane.robots[r], lane.count[0]
     half = world.halves[np.uint64(robot.half)]
     robot.node = half.to
-    robot.came = half.edge
+    robot.came = half.back
     robot.half = -1
     robot.passed = 0
     robot.pace = 0

@@ -18,13 +18,13 @@ def _record(**fields: str) -> np.dtype:
 
 # Numbers that index something are unsigned, where they are never -1: the compiler then need not ask for negative ones.
 NODE = _record(x="f8", y="f8", feature="i8", first="u4", last="u4", near_first="u4", near_last="u4")
-HALF = _record(to="u4", edge="u4", cost_mm="i8", coverage="f8")
+HALF = _record(to="u4", edge="u4", back="u4", cost_mm="i8", coverage="f8")  # back: the same way in reverse
 MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
 ROBOT = _record(  # 128 bytes
     decided="i8", planned="i8", arrives="i8", died="i8",  # ticks
     passed="i8", pace="i4",  # mm of its corridor that lay behind it at the tick `planned`, and mm per step
-    node="u4", half="i4", next="i4", came="i4",  # the last node; half, next, came: -1 for none
+    node="u4", half="i4", next="i4", came="i4",  # the last node, and half-edges: under way, chosen, back; -1: none
     row="i4", seen="i4",  # at its last decision: its input of Table I, and its row of the mission's table
     pair_row="u4", out="u4", decisions="u4", choices="u4",
     noted="u4",  # the entry of the agenda that holds its bit

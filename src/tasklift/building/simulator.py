@@ -99,10 +99,14 @@ class Simulator:
             near_first=near_ends - [len(features) for features in near],
             near_last=near_ends,
         )
+        pairs = np.argsort(building.edge_of, kind="stable").reshape(-1, 2)
+        back = np.empty(len(building.edge_of), np.int64)
+        back[pairs] = pairs[:, ::-1]
         halves = _records(
             layout.HALF,
             to=building.neighbour,
             edge=building.edge_of,
+            back=back,
             cost_mm=edge_cost_mm(building.length_m, building.width_m)[building.edge_of],
             coverage=building.coverage,
         )

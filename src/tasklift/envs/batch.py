@@ -165,9 +165,9 @@ class Observations:
         self._armed = mission.simulator.world.members["armed"]
         self._limit = mission.limit
         first, last = mission.building.indptr[:-1], mission.building.indptr[1:]
-        slots = first[:, None] + np.arange(CORRIDORS)
-        self._exists = slots < last[:, None]
-        self._edge = mission.building.edge_of[np.where(self._exists, slots, 0)].astype(np.int64)
+        self._half = first[:, None] + np.arange(CORRIDORS)
+        self._exists = self._half < last[:, None]
+        self._edge = mission.building.edge_of[np.where(self._exists, self._half, 0)].astype(np.int64)
 
     def space(self, copies: int = 1) -> Any:
         """Return the Gymnasium space of one robot's observation, or of several robots' in a row."""
@@ -206,7 +206,8 @@ class Observations:
         words = np.take_along_axis(batch.lanes.maps, edge >> 6, axis=2)
         known = (words >> (edge & 63).astype(np.uint64)) & np.uint64(1) == 1
         here = self._exists[node] & at_node[..., None]
-        for k, flags in enumerate((here, here & known, here & (edge == robots["came"][..., None]))):
+        came = self._half[node] == robots["came"][..., None]
+        for k, flags in enumerate((here, here & known, here & came)):
             seen[..., 7 + k * CORRIDORS : 7 + (k + 1) * CORRIDORS] = flags
         seen[..., -2] = at_node & (robots["alert"] == node)
         seen[..., -1] = batch.decides

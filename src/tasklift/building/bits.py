@@ -30,7 +30,7 @@ def _count_eight(context: Any, rising: Any, first: Any, target: Any) -> Any:
         numbers = builder.load(builder.bitcast(start, eight.as_pointer()), align=8)
         one = builder.insert_element(ir.Constant(eight, ir.Undefined), arguments[2], ir.Constant(ir.IntType(32), 0))
         same = builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8))
-        above = builder.bitcast(builder.fcmp_ordered(">", numbers, same), ir.IntType(8))
+        above = builder.bitcast(builder.fcmp_unordered(">", numbers, same), ir.IntType(8))
         bits = builder.or_(builder.zext(above, ir.IntType(64)), ir.Constant(ir.IntType(64), 256))
         return builder.cttz(bits, ir.Constant(ir.IntType(1), 1))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import builtins
 import hashlib
+import inspect
 import linecache
 import math
 import os
@@ -16,7 +17,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import Enum, EnumMeta
-from functools import cache
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
@@ -25,12 +25,11 @@ import numpy as np
 
 from tasklift.building.team import Kind
 from tasklift.building.variables import TABLE_I, Sensor, chosen_inputs
+from tasklift.compiled import fingerprint
 from tasklift.errors import TaskliftError
 from tasklift.files import write_atomically
 from tasklift.text import one_line, shown
 
-_HERE = Path(__file__).parent
-_COMPILED_IN = ("kernel.py", "layout.py", "sensors.py", "randomness.py", "bits.py", "../tasks/choice.py")
 _made: dict[str, ModuleType] = {}
 _SEEN = "    return lane.robots[r].row\n"
 
@@ -66,9 +65,11 @@ def _written(sensors: tuple[Sensor, ...]) -> ModuleType:
         given = f"world.numbers[world.members[r].kind, {at}:{at + len(sensor.numbers)}]"
         at += len(sensor.numbers)
         terms.append(f"min(max(np.int64(read_{i}(world, rules, lane, r, {given})), 0), {size - 1}) * {stride}")
-    text, compiled_in = _ours()
+    from tasklift.building import kernel
+
+    text = inspect.getsource(kernel)
     text = text.replace(_SEEN, f"    return {' + '.join(terms) or '0'}\n", 1)
-    content = hashlib.sha256("\n".join([text, compiled_in, *map(_key, sensors)]).encode())
+    content = hashlib.sha256("\n".join([text, fingerprint(*kernel.COMPILED_IN), *map(_key, sensors)]).encode())
     name = f"tasklift_kernel_{content.hexdigest()[:20]}"
     if name in _made:
         return _made[name]
@@ -84,15 +85,6 @@ def _written(sensors: tuple[Sensor, ...]) -> ModuleType:
     exec(compile(text, str(path), "exec"), vars(module))
     linecache.checkcache(str(path))
     return _made.setdefault(name, module)
-
-
-@cache
-def _ours() -> tuple[str, str]:
-    """Return the kernel's source, and a hash of everything of ours that is compiled in."""
-    content = hashlib.sha256()
-    for name in _COMPILED_IN:
-        content.update((_HERE / name).read_bytes())
-    return (_HERE / "kernel.py").read_text("utf-8"), content.hexdigest()
 
 
 def function_of(sensor: Sensor) -> FunctionType:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from tasklift.building import sensors
+from tasklift.building import bits, layout, randomness, sensors
 from tasklift.building.bits import lowest_bit, take_next
 from tasklift.building.layout import AGENDA, Lane
 from tasklift.building.randomness import (
@@ -36,11 +36,13 @@ from tasklift.building.randomness import (
     inline,
     uniform,
 )
+from tasklift.compiled import keep
 from tasklift.tasks import choice as scalar
 from tasklift.tasks.choice import rarely
 
+COMPILED_IN = bits, layout, randomness, sensors, scalar
 # What Python calls, and nothing else does: no wrapper for C.
-_entry = njit(nogil=True, cache=True, **(UNCHECKED | {"no_cfunc_wrapper": True}))
+_entry = keep(*COMPILED_IN, nogil=True, **(UNCHECKED | {"no_cfunc_wrapper": True}))
 _once_a_trial = njit(**INNER)  # inlined, it would take registers from the steps
 
 # --- names of the numbers in `Rules` and `Learner`, and of what a step returns -----------------------------------

@@ -13,8 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from tasklift.compiled import keep
 from tasklift.tasks import choice as rules
 
+COMPILED_IN = (rules,)
+_entry = keep(*COMPILED_IN)
 _draw = njit(rules.draw)
 _probabilities = njit(rules.probabilities)
 _step_size = njit(rules.step_size)
@@ -37,7 +40,7 @@ class Arrays(NamedTuple):
     limit: int
 
 
-@njit(cache=True)
+@_entry
 def branch(upto, u):
     """Return the first index whose running sum exceeds ``u``."""
     k = 0
@@ -46,7 +49,7 @@ def branch(upto, u):
     return k
 
 
-@njit(cache=True)
+@_entry
 def look(values, row, possible, seen):
     """Fill ``seen`` (a,) with a row of values, −inf where an output is not possible; return the largest."""
     most = -np.inf
@@ -57,7 +60,7 @@ def look(values, row, possible, seen):
     return most
 
 
-@njit(cache=True)
+@_entry
 def choose(values, settings, row, possible, u, scratch):
     """Return the output that is chosen at a row with the random number ``u``; −1 if none is possible."""
     if look(values, row, possible, scratch[0]) == -np.inf:
@@ -66,7 +69,7 @@ def choose(values, settings, row, possible, u, scratch):
     return _draw(scratch[1], u)
 
 
-@njit(cache=True)
+@_entry
 def follow(values, visits, settings, row, column, reward, lost, after, last, possible, u, scratch):
     """Learn from one step, and choose the next output with ``u``; ``values`` and ``visits`` change in place.
 
@@ -99,7 +102,7 @@ def follow(values, visits, settings, row, column, reward, lost, after, last, pos
     return choose(values, settings, after, possible, u, scratch)
 
 
-@njit(cache=True)
+@_entry
 def trial(arrays, rows, columns, values, visits, settings, rng):
     """Run one trial of value learning; ``values`` and ``visits``, float64 (S, a), change in place if it learns.
 

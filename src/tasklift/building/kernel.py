@@ -810,7 +810,8 @@ def regroup(world, rules, learner, lane, place):
         plan(world, rules, learner, lane, r)
         return
     form_teams(world, rules, lane, place)
-    n_classes, passed, pace = np.int64(0), np.int64(-1), np.int64(-1)
+    # at a node there is nobody to meet: everyone has passed nothing, as the one before
+    n_classes, passed, pace = np.int64(0), np.int64(0 if place < world.nodes.shape[0] else -1), np.int64(0)
     while first >= 0:
         r = np.uint32(first)
         first = lane.robots[r].after
@@ -819,7 +820,7 @@ def regroup(world, rules, learner, lane, place):
         wakes, decides = waking(rules, lane, r)
         meets = wakes
         robot = lane.robots[r]
-        if (place >= world.nodes.shape[0]) & ((robot.passed != passed) | (robot.pace != pace)):
+        if (robot.passed != passed) | (robot.pace != pace):
             meets, n_classes = meeting(lane, r, wakes, n_classes)
             passed, pace = robot.passed, np.int64(robot.pace)
         schedule(lane, r, meets, decides if meets == wakes else ARRIVES)

@@ -224,7 +224,7 @@ import tasklift as tl
 from tasklift.building import kernel
 from tasklift.building.reading import PRESETS
 mission = tl.Mission(tl.generate(seed=7), "10+5", 1, PRESETS["{preset}"])
-lanes, trials = LANES, 20
+lanes, trials = LANES, 100
 weights = np.full((lanes, *mission.task.shape), 1.5)
 seeds = list(range(lanes))
 def step():

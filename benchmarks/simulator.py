@@ -6,6 +6,7 @@ robot-step is one living robot in one step, and V's trials with MV = 0 (nobody m
 
 from __future__ import annotations
 
+import statistics
 import sys
 import time
 from dataclasses import replace
@@ -23,6 +24,7 @@ from tasklift.building.search import search_only
 from tasklift.building.team import SCOUT, WEAPON
 from tasklift.building.variables import TABLE_I
 from tasklift.learning.reinforcement import Reinforcement
+from tasklift.processes import cores
 from tasklift.studies.arms import PRIOR
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -82,6 +84,19 @@ def rate(mission):
     for start in (tl.Policy.equal(mission.task), v.extend(mission.task), v.extend(mission.task, prior=PRIOR)):
         parts.append(robot_steps(mission, mission.task, None, 100, start.weights))
     return sum(steps for steps, _ in parts) / sum(seconds for _, seconds in parts)
+
+
+def all_cores(mission):
+    """Return how many times the work of one core all do in the same time of the clock, in calls of 64 runs per core."""
+
+    def seconds(threads):
+        seeds, start = list(range(64 * threads)), time.perf_counter()
+        tables = np.full((len(seeds), *mission.task.shape), 1.5)
+        key = {"stage": 2, "reinforcement": Reinforcement(), "threads": threads}
+        mission.run_many(mission.task, tables, trials=100, seeds=seeds, **key)
+        return (time.perf_counter() - start) / len(seeds)
+
+    return statistics.median(seconds(1) / seconds(cores()) for _ in range(2 * TURNS))
 
 
 def python_overhead(mission):
@@ -190,6 +205,7 @@ def main():
         pairs = [(rate(mission), cart_pole_rate()) for _ in range(TURNS)]  # in turns, so that the load hits both
         speed, other = map(max, zip(*pairs, strict=True))
         print(f"{name}: {speed / 1e6:.1f} million robot-steps per second (goal 66)")
+        print(f"{name}: {all_cores(mission):.2f} x as much on {cores()} cores (goal 1.85 on two)")
         print(f"{name}: {speed / other:.2f} x the steps per second of vectorised CartPole in the same run (goal 3)")
     print(f"evaluate: {python_overhead(mission):.2f} us per episode of one step, the kernel included (bar 1 beyond it)")
     mission = Mission(building, {SCOUT: 10, WEAPON: 5})

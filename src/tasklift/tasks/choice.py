@@ -53,16 +53,13 @@ def sum_up(weights, sums, first):  # type: ignore[no-untyped-def]
 
     The last sum of each full block of eight is kept once more, behind all sums. What is not used there is infinite.
     """
-    blocks = len(weights) // 8
-    running = sums[first // 8 * 8 - 1] if first >= 8 else 0.0
-    for block in range(first // 8, blocks):
-        for i in range(8 * block, 8 * block + 8):
-            running += weights[i]
-            sums[i] = running
-        sums[8 * blocks + 8 + block] = running
-    for i in range(8 * blocks, len(weights)):
+    running = sums[first - 1] if first > 0 else 0.0
+    for i in range(first, len(weights)):
         running += weights[i]
         sums[i] = running
+    lasts = len(weights) // 8 * 8 + 8
+    for block in range(first // 8, len(weights) // 8):
+        sums[lasts + block] = sums[8 * block + 7]
 
 
 def draw_summed(weights, sums, u):  # type: ignore[no-untyped-def]

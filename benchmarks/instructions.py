@@ -3,7 +3,7 @@
 ``make instructions`` counts and compares with ``benchmarks/instructions.json``: more than 10 % above fails.
 ``make instructions ARGS=--record`` writes the file anew; say why in the changelog.
 ``make instructions ARGS=--parts`` shows by source function where they go in the first episodes, and where valgrind's
-simulated processor guesses branches wrong.
+simulated processor guesses branches wrong. ``make instructions ARGS=--robots`` counts teams of 1 to 10,000 robots.
 
 The count is the difference between runs of 242 and 42 episodes (trials) of the paper's mission, learning from equal
 weights. Only the compiled kernel is counted: the start of Python alone varies by more than a change of the kernel. The
@@ -29,6 +29,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 FEW, MANY = 42, 242
+FIRST_EPISODES = {1: 200, 15: 84, 240: 4, 10_000: 1}  # of a team, with --robots
 CODE = 2**20  # bytes from the kernel's first instruction on in which nothing else of the process lies
 WORKLOADS = ("scattered", "cohesive", "scattered, with a sensor of one's own")
 ALLOWED = 1.10
@@ -64,19 +65,21 @@ def at_start(world, rules, lane, r, numbers):  # type: ignore[no-untyped-def]
     return 1 if lane.robots[r].node == rules.start else 0
 
 
-def dump(workload: str, file: Path) -> None:
+def dump(workload: str, file: Path, robots: int = 15) -> None:
     """Write the compiled mission of a workload, so that the worker imports little."""
     import numpy as np
 
     from tasklift.building import Mission, generate
     from tasklift.building.reading import PRESETS
+    from tasklift.building.team import SCOUT, WEAPON
     from tasklift.building.variables import TABLE_I, Sensor
     from tasklift.learning.reinforcement import Reinforcement
     from tasklift.tasks.task import Variable
 
     preset, _, own = workload.partition(", ")
     inputs = [*TABLE_I, Sensor(Variable("HOME", (0, 1)), at_start)] if own else TABLE_I
-    mission = Mission(generate(seed=7), "10+5", reading=PRESETS[preset], inputs=inputs)
+    team = {SCOUT: robots * 2 // 3, WEAPON: robots - robots * 2 // 3}
+    mission = Mission(generate(seed=7), team, min(1, robots - 1), reading=PRESETS[preset], inputs=inputs)
     simulator = mission.simulator
     parts = (mission.inputs, simulator.world, simulator.rules, simulator.learner(mission.task, Reinforcement()),
              simulator.lane(mission.task.shape), np.array([simulator.keys(0, 2)]))  # fmt: skip
@@ -111,6 +114,19 @@ def count(workload: str) -> float:
                 found.append((int(printed.split()[0]), sum(executed for _, executed, _ in lines)))
     (few_steps, few), (many_steps, many) = found
     return (many - few) / (many_steps - few_steps)
+
+
+def growth() -> None:
+    """Print the instructions per robot-step of teams of several sizes, over their first episodes."""
+    for robots, episodes in FIRST_EPISODES.items():
+        with tempfile.TemporaryDirectory() as name:
+            folder, environment = Path(name), os.environ | GENERIC
+            dump(WORKLOADS[0], folder / "workload", robots)
+            worker = [sys.executable, __file__, "--work", str(folder / "workload")]
+            subprocess.run([*worker, "1"], check=True, env=environment, capture_output=True)
+            printed, lines = watch([*worker, str(episodes)], folder, environment)
+        number = sum(executed for _, executed, _ in lines) / int(printed.split()[0])
+        print(f"{robots:,} robots, {WORKLOADS[0]}: {number:.1f} instructions per robot-step", flush=True)
 
 
 def parts(workload: str) -> None:
@@ -162,6 +178,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--record", action="store_true", help="write the counts into the file")
     parser.add_argument("--parts", action="store_true", help="show where the instructions of two workloads go")
+    parser.add_argument("--robots", action="store_true", help="count small and large teams")
     parser.add_argument("--work", nargs="+", metavar="FILE", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
@@ -169,6 +186,9 @@ def main() -> None:
         return
     if shutil.which("valgrind") is None:
         sys.exit("instructions: needs valgrind; install it, for example with: apt-get install valgrind")
+    if options.robots:
+        growth()
+        return
     if options.parts:
         for workload in WORKLOADS[:2]:
             parts(workload)

@@ -233,11 +233,12 @@ def step():
 # steps of living robots in the same runs, which outcomes do not tell: counted once, by the kernel
 simulator = mission.simulator
 lane, learner = simulator.lane(mission.task.shape), simulator.learner(mission.task, tl.Reinforcement())
+world, rules = simulator.world, simulator.rules
 keys = np.array([simulator.keys(seed, 2) for seed in seeds])
 jobs = np.array([[run, 0, trials] for run in range(lanes)])
+table, left = np.zeros((lanes, trials, 7), np.int64), np.zeros((lanes, trials, 2), np.int64)
 drawn, taken, done = np.full(trials, -1), np.zeros(1, np.int64), np.zeros((lanes, 2), np.int64)
-work = jobs, taken, *(np.zeros((lanes, trials, columns), np.int64) for columns in (7, 2)), done
-kernel.run(simulator.world, simulator.rules, learner, lane, keys, 0, drawn, -1, weights.copy(), *work)
+kernel.run(world, rules, learner, lane, keys, 0, drawn, -1, weights.copy(), jobs, taken, table, left, done)
 AGENT_STEPS = int(lane.count["robot_steps"][0])
 """
     for preset in ("scattered", "cohesive")

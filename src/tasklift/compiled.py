@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from numba import njit
 
 
+@cache
 def fingerprint(*modules: ModuleType) -> str:
     """Return a text that differs where the source of one of the modules does."""
     content = hashlib.sha256()
@@ -22,8 +24,8 @@ def fingerprint(*modules: ModuleType) -> str:
 def keep(*modules: ModuleType, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return ``numba.njit(cache=True, ...)`` for functions in which functions of other modules are compiled in.
 
-    Numba makes kept machine code anew when the file of the function itself changes, but not for any other. So the name
-    by which it keeps a function tells the content of the others.
+    Numba compiles anew when the function's own file has changed, but not for any other file. So the name by which it
+    keeps a function tells the content of the others.
     """
     mark = fingerprint(*modules)
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from threading import Timer
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -60,6 +64,21 @@ def test_seeds_trained_together_are_the_seeds_one_by_one(mission, reinforcement,
         weights = np.full(task.shape, reinforcement.initial_weight)
         assert rows(mission.run(task, weights, seed=seed, **settings_)) == rows(together.of_run(p))
         assert weights.tolist() == start[p].tolist()
+
+
+def test_an_interrupt_leaves_the_runs_that_no_thread_has_taken():
+    hunt = Mission(generate(seed=3), "10+5")
+    hunt.evaluate(tl.Policy.equal(hunt.task), 1, seed=0)  # compiles, where that was not done yet
+    weights = np.full((4000, *hunt.task.shape), 1.5)
+    soon = Timer(0.5, os.kill, [os.getpid(), signal.SIGINT])
+    soon.start()
+    with pytest.raises(KeyboardInterrupt):
+        hunt.run_many(
+            hunt.task, weights, trials=100, seeds=list(range(4000)), stage=2, reinforcement=Reinforcement(), threads=2
+        )
+    untouched = (weights == 1.5).all(axis=(1, 2))
+    assert untouched.any()
+    assert not untouched.all()
 
 
 def test_policies_are_taken_as_objects_as_well():

@@ -44,7 +44,7 @@ def kernel_for(sensors: tuple[Sensor, ...]) -> ModuleType:
     """
     from tasklift.building import kernel
 
-    return kernel if sensors == chosen_inputs(TABLE_I) else _written(sensors)
+    return kernel if sensors == chosen_inputs(TABLE_I) else _written(kernel, sensors)
 
 
 def numbers_of(sensors: tuple[Sensor, ...], kinds: list[Kind]) -> list[list[float]]:
@@ -53,7 +53,7 @@ def numbers_of(sensors: tuple[Sensor, ...], kinds: list[Kind]) -> list[list[floa
     return [[dict(kind.attributes).get(name, value) for name, value in usual] for kind in kinds]
 
 
-def _written(sensors: tuple[Sensor, ...]) -> ModuleType:
+def _written(kernel: ModuleType, sensors: tuple[Sensor, ...]) -> ModuleType:
     """Return the module of the kernel for some sensors, from the cache's file or newly written."""
     functions, terms, at = {}, [], 0
     first = len(TABLE_I) if sensors[: len(TABLE_I)] == chosen_inputs(TABLE_I) else 0
@@ -65,10 +65,7 @@ def _written(sensors: tuple[Sensor, ...]) -> ModuleType:
         given = f"world.numbers[world.members[r].kind, {at}:{at + len(sensor.numbers)}]"
         at += len(sensor.numbers)
         terms.append(f"min(max(np.int64(read_{i}(world, rules, lane, r, {given})), 0), {size - 1}) * {stride}")
-    from tasklift.building import kernel
-
-    text = inspect.getsource(kernel)
-    text = text.replace(_SEEN, f"    return {' + '.join(terms) or '0'}\n", 1)
+    text = inspect.getsource(kernel).replace(_SEEN, f"    return {' + '.join(terms) or '0'}\n", 1)
     content = hashlib.sha256("\n".join([text, fingerprint(*kernel.COMPILED_IN), *map(_key, sensors)]).encode())
     name = f"tasklift_kernel_{content.hexdigest()[:20]}"
     if name in _made:

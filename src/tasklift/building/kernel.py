@@ -687,7 +687,6 @@ def form_teams(world, rules, lane, place):
     robots, maps = lane.robots, lane.maps
     at_node, first = place < world.nodes.shape[0], lane.places[place].first
     differ, following, t = False, first, np.uint32(first)
-    was = robots[t].team
     while following >= 0:
         r = np.uint32(following)
         robot = robots[r]
@@ -695,15 +694,13 @@ def form_teams(world, rules, lane, place):
             come_along(lane, robot)
             if (following == first) | (robot.passed != robots[t].passed):
                 t = team_at(lane.slots, lane.count[0].tick, place, robot.passed, r)
-                was = robot.team if t == r else np.uint32(robots.shape[0])  # no team's number
         if t == r:
             found_team(world, rules, lane, r)
         else:
-            # who were one team and come together again have one map: they came by the same ways since
-            if (rules.share_map == SHARE_TEAM) & (robot.team != was):
+            join_team(world, rules, lane, r, t)
+            if rules.share_map == SHARE_TEAM:
                 for w in range(maps.shape[1]):
                     differ |= maps[r, w] != maps[t, w]
-            join_team(world, rules, lane, r, t)
         following = robot.after
     if rarely(differ):
         pool(lane, first)

@@ -99,6 +99,7 @@ class Simulator:
             near_first=near_ends - [len(features) for features in near],
             near_last=near_ends,
         )
+        # of each edge, its two half-edges, each of which leads back along the other
         pairs = np.argsort(building.edge_of, kind="stable").reshape(-1, 2)
         back = np.empty(len(building.edge_of), np.int64)
         back[pairs] = pairs[:, ::-1]

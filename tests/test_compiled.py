@@ -40,6 +40,20 @@ def test_nothing_else_keeps_machine_code():
 
 
 @pytest.mark.parametrize(
+    "asked",
+    [
+        "import tasklift.compiled, tasklift.building.inputs",
+        "import tasklift as tl; tl.Mission(tl.generate(seed=7), '10+5').task",
+        "from tasklift.plans.importing import import_map",
+        "import tasklift.cli.main",
+    ],
+)
+def test_numba_is_imported_only_to_simulate(asked):
+    code = f"import sys; {asked}; assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
     ("changed", "before", "after", "asked"),
     [
         (

@@ -9,8 +9,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from numba import njit
-
 
 @cache
 def fingerprint(*modules: ModuleType) -> str:
@@ -27,6 +25,8 @@ def keep(*modules: ModuleType, **options: Any) -> Callable[[Callable[..., Any]],
     Numba compiles anew when the function's own file has changed, but not for any other file. So the name by which it
     keeps a function tells the content of the others.
     """
+    from numba import njit  # only kernels pay for this import, not whoever asks for a fingerprint
+
     mark = fingerprint(*modules)
 
     def compiled(function: Callable[..., Any]) -> Any:

@@ -174,7 +174,8 @@ def wake_teams(rules, lane):
         r = lane.roster[i]
         robots[r].due = teams[robots[r].team].due
         if robots[r].due == 1:
-            lane.agenda[page(count.tick, r, DECIDES)] |= bit_of(r)
+            cancel(lane, r)
+            schedule(lane, r, count.tick, DECIDES)
     for i in range(count.alive):
         teams[robots[lane.roster[i]].team].due = 0
 
@@ -467,7 +468,7 @@ def encounter(world, rules, learner, lane):
                 reinforce(learner, lane, robot.pair_row, robot.out, learner.loss_signal)
             if rules.drill == 0:
                 robot.alive = 0
-                robot.died = count.tick
+                robot.entered = count.tick
                 cancel(lane, r)
                 count.stopping -= robot.stopping
                 sites[robot.node].stoppers -= robot.stopping
@@ -522,14 +523,14 @@ def arrive(world, rules, lane, r):
     if rarely(lane.visited[half.edge] == 0):
         lane.visited[half.edge] = 1
         count.edges_left -= 1
-    if put_in(lane, r, half.to):
-        touch(lane, half.to)
-        return
-    if rarely(lane.sites[half.to].unsearched > 0):
+    others = put_in(lane, r, half.to)
+    if rarely((lane.sites[half.to].unsearched > 0) & (not others)):
         lane.rooms[count.rooms_open] = half.to
         count.rooms_open += 1
-    stay_alone(world, rules, lane, r)
-    schedule(lane, r, count.tick + 1, DECIDES)
+    if others | (lane.teams[robot.team].size > 1):
+        touch(lane, half.to)
+    else:
+        schedule(lane, r, count.tick + 1, DECIDES)
 
 
 @inline
@@ -608,6 +609,7 @@ def touch(lane, place):
 def put_in(lane, r, place):
     """Enter a robot in the list of those at a place; return whether there are others."""
     robot, first = lane.robots[r], lane.places[place].first
+    robot.entered = lane.count[0].tick
     robot.before = -1
     robot.after = first
     if first >= 0:
@@ -682,6 +684,22 @@ def team_at(slots, tick, place, passed, fresh):
 
 
 @inline
+def came_together(world, lane, place):
+    """Return whether those at a place are one whole team, which came there in this step, as one."""
+    robots, tick, following = lane.robots, lane.count[0].tick, lane.places[place].first
+    at_node, leader = place < world.nodes.shape[0], robots[np.uint32(following)]
+    team = lane.teams[leader.team]
+    same, missing = team.formed < tick, team.size
+    while same & (following >= 0):
+        robot = robots[np.uint32(following)]
+        as_far = robot.came == leader.came if at_node else robot.passed == leader.passed
+        same = (robot.entered == tick) & (robot.team == leader.team) & as_far
+        missing -= 1
+        following = robot.after
+    return same & (missing == 0)
+
+
+@inline
 def form_teams(world, rules, lane, place):
     """Find the teams at a place (rule 4), numbered by one of their members; pool their maps (rule 12)."""
     robots, maps = lane.robots, lane.maps
@@ -731,6 +749,7 @@ def found_team(world, rules, lane, r):
     """Make robot r a team of its own, which has its number."""
     team, member = lane.teams[r], world.members[r]
     lane.robots[r].team = r
+    team.formed = lane.count[0].tick
     team.lead = r
     team.size = 1
     team.armed = 0
@@ -808,6 +827,12 @@ def regroup(world, rules, learner, lane, place):
     if lane.robots[r].after < 0:
         stay_alone(world, rules, lane, r)
         plan(world, rules, learner, lane, r)
+        return
+    if came_together(world, lane, place):
+        while first >= 0:
+            r = np.uint32(first)
+            first = lane.robots[r].after
+            sleep(rules, lane, r)
         return
     form_teams(world, rules, lane, place)
     # at a node there is nobody to meet: everyone has passed nothing, as the one before

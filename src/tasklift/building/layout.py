@@ -22,7 +22,7 @@ HALF = _record(to="u4", edge="u4", back="u4", cost_mm="i8", coverage="f8")  # ba
 MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
 OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
 ROBOT = _record(  # 128 bytes
-    decided="i8", planned="i8", arrives="i8", died="i8",  # ticks
+    decided="i8", planned="i8", arrives="i8", entered="i8",  # ticks; entered: it came to its place, or was lost
     passed="i8", pace="i4",  # mm of its corridor that lay behind it at the tick `planned`, and mm per step
     node="u4", half="i4", next="i4", came="i4",  # the last node, and half-edges: under way, chosen, back; -1: none
     row="i4", seen="i4",  # at its last decision: its input of Table I, and its row of the mission's table
@@ -40,7 +40,7 @@ SITE = _record(
 PLACE = _record(  # a node, or N + a half-edge
     touched="i8", unsettled="i8", first="i4",  # the ticks at which it, or a robot there, last was; a robot, -1: none
 )  # fmt: skip
-TEAM = _record(slowest="i8", lead="u4", size="i4", armed="i4", weapons="u1", due="u1", learned="u1")
+TEAM = _record(formed="i8", slowest="i8", lead="u4", size="i4", armed="i4", weapons="u1", due="u1", learned="u1")
 SLOT = _record(tick="i8", passed="i8", place="u4", team="u4")
 COUNT = _record(
     step="i8", alive="i8", awake="i8", touched="i8", unsettled="i8", stopping="i8", edges_left="i8", rooms_left="i8",

@@ -600,7 +600,7 @@ def _frame(lane: layout.Lane) -> dict[str, Any]:
     robots["row"] = robots["seen"]
     now = lane.count["tick"][0]
     robots["progress"] = progress_mm(lane.robots, now)
-    robots["since"] = np.where(robots["alive"] == 1, now + 1, robots["died"]) - robots["decided"]
+    robots["since"] = np.where(robots["alive"] == 1, now + 1, robots["entered"]) - robots["decided"]
     return {
         "robots": robots,
         "hostile": lane.sites["hostile"] == 1,

@@ -52,6 +52,7 @@ SHARE_NONE, SHARE_TEAM, SHARE_RADIO = 0, 1, 2  # rule 12
 TIME_NONE, TIME_INVERTED, TIME_BASELINE = 0, 1, 2  # rule 19
 NEVER = np.int64(2**62)  # a tick that does not come
 ARRIVES, DECIDES = np.int64(0), np.int64(1)  # what a robot wakes for
+STAYS, GOES, GOES_BACK = 0, 1, 2  # what a robot's output is, by MV and BACK
 GOES_ON, SUCCESS, FAILURE, OUTSIDE = 0, 1, 2, 3  # rule 16; OUTSIDE: an input that the task leaves out
 
 _sum_up = inline(scalar.sum_up)
@@ -183,7 +184,7 @@ def wake_teams(rules, lane):
 @inline
 def stops(robot, site):
     """Return whether a robot at a node stops there at an unresolved feature: it does not move on (rule 11)."""
-    return (robot.going == 0) & (site.faced > 0)
+    return (robot.going == STAYS) & (site.faced > 0)
 
 
 @inline
@@ -234,7 +235,7 @@ def take_output(world, rules, learner, lane, r):
     robot.due = 0
     robot.decided = lane.count[0].tick
     robot.repelled = 0
-    robot.going = learner.outputs[robot.out].mv
+    robot.going = learner.outputs[robot.out].way
 
 
 @inline
@@ -351,7 +352,7 @@ def choose_edge(world, rules, learner, lane, r):
     robot, picks, is_open = lane.robots[r], lane.picks, lane.open
     site, count = lane.sites[robot.node], lane.count[0]
     first = world.nodes[robot.node].first
-    if rarely(learner.outputs[robot.out].back == 1) and robot.came >= 0:
+    if rarely(robot.going == GOES_BACK) and robot.came >= 0:
         return np.uint32(robot.came)
     n_open = open_edges(world, rules, lane, r)
     if rules.split == SPLIT_ROBOTS:
@@ -390,20 +391,21 @@ def leave(world, rules, learner, lane, suspicions):
         r = lane.awake[i]
         robot = robots[r]
         site = sites[robot.node]
-        if rarely(suspicions & (robot.listens == 1)):
+        if rarely(suspicions) and robot.listens == 1:
             _listen(world, rules, lane, r)
-        if rarely((robot.going == 0) | (site.unsearched > 0)):
+        if rarely(robot.going == STAYS) or rarely(site.unsearched > 0):
             if robot.unsettled == 0:
                 cancel(lane, r)
                 sleep(rules, lane, r)
             continue
-        robot.next = choose_edge(world, rules, learner, lane, r)
+        half = choose_edge(world, rules, learner, lane, r)
         if rarely(site.faced > 0):
+            robot.next = half
             lane.awake[np.uint64(n_facing)] = r
             n_facing += 1
             crossed |= cross(world, lane, r)
         else:
-            depart(world, rules, learner, lane, r)
+            depart(world, rules, learner, lane, r, half)
     count.awake = n_facing
     return crossed
 
@@ -479,7 +481,7 @@ def encounter(world, rules, learner, lane):
             if robot.crossing == 1:
                 robot.next = -1
                 robot.repelled = 1
-                robot.going = 0
+                robot.going = STAYS
         news = second if engaged and robot.node == highest else highest
         dl, about = robot.dl, robot.alert
         if about >= 0 and sites[about].resolved == 1:
@@ -513,8 +515,7 @@ def arrive(world, rules, lane, r):
     robot.node = half.to
     robot.came = half.back
     robot.half = -1
-    robot.passed = 0
-    robot.pace = 0
+    robot.entered = count.tick
     robot.due = 1
     robot.listens = 1
     robot.arrived = count.step + 1
@@ -534,15 +535,13 @@ def arrive(world, rules, lane, r):
 
 
 @inline
-def depart(world, rules, learner, lane, r):
+def depart(world, rules, learner, lane, r, half):
     """Send a robot into the corridor that it chose, by its first step."""
-    robot, tick = lane.robots[r], lane.count[0].tick
-    place = np.uint32(world.nodes.shape[0] + robot.next)
+    robot, tick, place = lane.robots[r], lane.count[0].tick, corridor(world, half)
     take_out(lane, r, robot.node)
-    robot.half = robot.next
-    robot.next = -1
+    robot.half = half
     robot.passed = robot.pace = _speed(world, learner, lane, r)
-    robot.planned = tick
+    robot.entered = robot.planned = tick
     robot.arrives = _end_of_way(world, robot, tick)
     others = put_in(lane, r, place)
     if rarely(robot.arrives == tick):  # the corridor is so short
@@ -569,20 +568,22 @@ def move(world, rules, learner, lane):
     for i in range(count.awake):
         r = lane.awake[i]
         if robots[r].next >= 0:
-            depart(world, rules, learner, lane, r)
+            depart(world, rules, learner, lane, r, np.uint32(robots[r].next))
+            robots[r].next = -1
         elif robots[r].alive == 1:
             unsettle(world, lane, r)
     for first in range(0, robots.shape[0], 64):
-        bits = lane.agenda[page(count.tick, np.uint32(first), ARRIVES)]
+        at = page(count.tick, np.uint32(first), ARRIVES)
+        bits = lane.agenda[at]
         while bits != 0:
             r = lowest_robot(first, bits)
             bits &= bits - np.uint64(1)
             if rarely(robots[r].arrives > count.tick):
                 unsettle(world, lane, r)
             else:
-                take_out(lane, r, place_of(world, robots[r]))
+                take_out(lane, r, corridor(world, robots[r].half))
                 arrive(world, rules, lane, r)
-        lane.agenda[page(count.tick, np.uint32(first), ARRIVES)] = 0
+        lane.agenda[at] = 0
         lane.agenda[page(count.tick, np.uint32(first), DECIDES)] = 0
 
 
@@ -590,9 +591,15 @@ def move(world, rules, learner, lane):
 
 
 @inline
+def corridor(world, half):
+    """Return the number of the place that a half-edge is: they are counted on from the nodes."""
+    return np.uint32(world.nodes.shape[0] + half)
+
+
+@inline
 def place_of(world, robot):
-    """Return the number of the place at which a robot is: its node, or its half-edge counted on from the nodes."""
-    return np.uint32(np.int64(robot.node) if robot.half < 0 else world.nodes.shape[0] + robot.half)
+    """Return the number of the place at which a robot is, a node or a half-edge."""
+    return np.uint32(robot.node) if robot.half < 0 else corridor(world, robot.half)
 
 
 @inline
@@ -609,7 +616,6 @@ def touch(lane, place):
 def put_in(lane, r, place):
     """Enter a robot in the list of those at a place; return whether there are others."""
     robot, first = lane.robots[r], lane.places[place].first
-    robot.entered = lane.count[0].tick
     robot.before = -1
     robot.after = first
     if first >= 0:
@@ -687,16 +693,20 @@ def team_at(slots, tick, place, passed, fresh):
 def came_together(world, lane, place):
     """Return whether those at a place are one whole team, which came there in this step, as one."""
     robots, tick, following = lane.robots, lane.count[0].tick, lane.places[place].first
-    at_node, leader = place < world.nodes.shape[0], robots[np.uint32(following)]
-    team = lane.teams[leader.team]
-    same, missing = team.formed < tick, team.size
-    while same & (following >= 0):
+    at_node, first = place < world.nodes.shape[0], robots[np.uint32(following)]
+    team = lane.teams[first.team]
+    missing = team.size
+    if team.formed == tick:
+        return False
+    while following >= 0:
         robot = robots[np.uint32(following)]
-        as_far = robot.came == leader.came if at_node else robot.passed == leader.passed
-        same = (robot.entered == tick) & (robot.team == leader.team) & as_far
+        if robot.team != first.team or robot.entered != tick:
+            return False
+        if (robot.came != first.came) if at_node else (robot.passed != first.passed):
+            return False
         missing -= 1
         following = robot.after
-    return same & (missing == 0)
+    return missing == 0
 
 
 @inline
@@ -835,8 +845,7 @@ def regroup(world, rules, learner, lane, place):
             sleep(rules, lane, r)
         return
     form_teams(world, rules, lane, place)
-    # at a node there is nobody to meet: everyone has passed nothing, as the one before
-    n_classes, passed, pace = np.int64(0), np.int64(0 if place < world.nodes.shape[0] else -1), np.int64(0)
+    n_classes, passed, pace, at_node = np.int64(0), np.int64(-1), np.int64(0), place < world.nodes.shape[0]
     while first >= 0:
         r = np.uint32(first)
         first = lane.robots[r].after
@@ -845,7 +854,7 @@ def regroup(world, rules, learner, lane, place):
         wakes, decides = waking(rules, lane, r)
         meets = wakes
         robot = lane.robots[r]
-        if (robot.passed != passed) | (robot.pace != pace):
+        if (not at_node) & ((robot.passed != passed) | (robot.pace != pace)):
             meets, n_classes = meeting(lane, r, wakes, n_classes)
             passed, pace = robot.passed, np.int64(robot.pace)
         schedule(lane, r, meets, decides if meets == wakes else ARRIVES)
@@ -893,7 +902,7 @@ def keep_pace(world, learner, lane, r):
     """Find anew how fast a robot goes on in its corridor, and when it arrives."""
     robot = lane.robots[r]
     if robot.half >= 0:
-        pace = _speed(world, learner, lane, r) if robot.going == 1 else np.int64(0)
+        pace = _speed(world, learner, lane, r) if robot.going != STAYS else np.int64(0)
         if rarely(pace != robot.pace):
             come_along(lane, robot)
             robot.pace = pace
@@ -924,7 +933,7 @@ def waking(rules, lane, r):
         else:
             site = lane.sites[robot.node]
             row += site.faced
-            if robot.going & (site.unsearched == 0) | (stops(robot, site) != robot.stopping):
+            if (robot.going != STAYS) & (site.unsearched == 0) | (stops(robot, site) != robot.stopping):
                 wakes = tick + 1
         if row == robot.row:
             # what is further off than the agenda reaches wakes it earlier, for nothing
@@ -1237,7 +1246,7 @@ def _begin_trial(world, rules, lane, trial_key, place_key):
         robot.arrived = 0
         robot.pair_row = 0
         robot.out = 0
-        robot.going = 0
+        robot.going = STAYS
         robot.goal = -1
         robot.repelled = 0
         robot.crossing = 0
@@ -1365,15 +1374,16 @@ def run(world, rules, learner, lane, keys, first_trial, fixed, max_losses, weigh
                 break
             _begin_trial(world, rules, lane, absorb(keys[p, 0], first_trial + n), keys[p, 1])
             # with one output that stops everybody, a step without any change repeats itself to the end
-            stuck = fixed[n] >= 0 and learner.outputs[max(fixed[n], 0)].mv == 0
+            stuck = fixed[n] >= 0 and learner.outputs[max(fixed[n], 0)].way == STAYS
             stuck = stuck and (learner.sweep_all == 1 or learner.learn == 0)
             for r in range(lane.given.shape[0]):
                 lane.given[r] = fixed[n]
             state = GOES_ON
             while state == GOES_ON:
-                messages, searching = count.messages, count.rooms_open > 0
+                if rarely(stuck):
+                    messages, searching = count.messages, count.rooms_open > 0
                 state = _step(world, rules, learner, lane)
-                if stuck and not searching and count.messages == messages and state == GOES_ON:
+                if rarely(stuck) and not searching and count.messages == messages and state == GOES_ON:
                     state = FAILURE
             if state == OUTSIDE:
                 done[j, 0], done[j, 1] = n - first, count.outside

@@ -20,7 +20,7 @@ def _record(**fields: str) -> np.dtype:
 NODE = _record(x="f8", y="f8", feature="i8", first="u4", last="u4", near_first="u4", near_last="u4")
 HALF = _record(to="u4", edge="u4", back="u4", cost_mm="i8", coverage="f8")  # back: the same way in reverse
 MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
-OUTPUT = _record(mv="i8", wpn="i8", ca="f8", back="i8")
+OUTPUT = _record(way="i4", wpn="i4", ca="f8")  # way: kernel.STAYS, ...
 ROBOT = _record(  # 128 bytes
     decided="i8", planned="i8", arrives="i8", entered="i8",  # ticks; entered: it came to its place, or was lost
     passed="i8", pace="i4",  # mm of its corridor that lay behind it at the tick `planned`, and mm per step

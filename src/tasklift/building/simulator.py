@@ -619,10 +619,9 @@ def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool
     values = [root.output_values(int(index)) for index in task.output_map]
     outputs = _records(
         layout.OUTPUT,
-        mv=[v["MV"] for v in values],
+        way=[v["MV"] * (1 + v.get("BACK", 0)) for v in values],
         wpn=[v["WPN"] for v in values],
         ca=[v["CA"] for v in values],
-        back=[v.get("BACK", 0) for v in values],
     )
     sweep_all = sweep and reinforcement.sweep_credit == "all"
     return layout.Learner(

@@ -512,6 +512,7 @@ def arrive(world, rules, lane, r):
     """Take a robot in at the end of its corridor (rules 2 and 12)."""
     robot, count = lane.robots[r], lane.count[0]
     half = world.halves[np.uint64(robot.half)]
+    take_out(lane, r, corridor(world, robot.half))
     robot.node = half.to
     robot.came = half.back
     robot.half = -1
@@ -538,7 +539,7 @@ def arrive(world, rules, lane, r):
 def depart(world, rules, learner, lane, r, half):
     """Send a robot into the corridor that it chose, by its first step."""
     robot, tick, place = lane.robots[r], lane.count[0].tick, corridor(world, half)
-    take_out(lane, r, robot.node)
+    in_team = take_out(lane, r, robot.node)
     robot.half = half
     robot.passed = robot.pace = _speed(world, learner, lane, r)
     robot.entered = robot.planned = tick
@@ -546,7 +547,7 @@ def depart(world, rules, learner, lane, r, half):
     others = put_in(lane, r, place)
     if rarely(robot.arrives == tick):  # the corridor is so short
         lane.agenda[page(tick, r, ARRIVES)] |= bit_of(r)
-    elif lane.teams[robot.team].size > 1:
+    elif in_team:
         touch(lane, place)
     elif others | (robot.unsettled == 1):
         unsettle(world, lane, r)
@@ -581,7 +582,6 @@ def move(world, rules, learner, lane):
             if rarely(robots[r].arrives > count.tick):
                 unsettle(world, lane, r)
             else:
-                take_out(lane, r, corridor(world, robots[r].half))
                 arrive(world, rules, lane, r)
         lane.agenda[at] = 0
         lane.agenda[page(count.tick, np.uint32(first), DECIDES)] = 0
@@ -626,7 +626,7 @@ def put_in(lane, r, place):
 
 @inline
 def take_out(lane, r, place):
-    """Take a robot out of the list of those at a place; what is left of its team is regrouped."""
+    """Take a robot out of the list of those at a place; return whether it was in a team, which is regrouped then."""
     before, after = lane.robots[r].before, lane.robots[r].after
     if before >= 0:
         lane.robots[before].after = after
@@ -634,8 +634,10 @@ def take_out(lane, r, place):
         lane.places[place].first = after
     if after >= 0:
         lane.robots[after].before = before
-    if lane.teams[lane.robots[r].team].size > 1:
+    in_team = lane.teams[lane.robots[r].team].size > 1
+    if in_team:
         touch(lane, place)
+    return in_team
 
 
 @inline
@@ -854,7 +856,7 @@ def regroup(world, rules, learner, lane, place):
         wakes, decides = waking(rules, lane, r)
         meets = wakes
         robot = lane.robots[r]
-        if (not at_node) & ((robot.passed != passed) | (robot.pace != pace)):
+        if not at_node and (robot.passed != passed or robot.pace != pace):
             meets, n_classes = meeting(lane, r, wakes, n_classes)
             passed, pace = robot.passed, np.int64(robot.pace)
         schedule(lane, r, meets, decides if meets == wakes else ARRIVES)
@@ -928,8 +930,8 @@ def waking(rules, lane, r):
     if robot.due == 0:
         wakes, decides, row = robot.decided + rules.patience, DECIDES, _row_of(lane, robot)
         if robot.half >= 0:
-            decides = DECIDES if wakes <= robot.arrives else ARRIVES
-            wakes = min(wakes, robot.arrives)
+            if robot.arrives < wakes:
+                wakes, decides = robot.arrives, ARRIVES
         else:
             site = lane.sites[robot.node]
             row += site.faced

@@ -692,19 +692,21 @@ def team_at(slots, tick, place, passed, fresh):
 
 
 @inline
-def came_together(world, lane, place):
-    """Return whether those at a place are one whole team, which came there in this step, as one."""
+def came_together(lane, place):
+    """Return whether those at a place are one whole team that came there in this step, each as far as the others.
+
+    Then they are the team that they were. They took the same corridor, since two nodes have only one, so their maps
+    are equal as before. A team that was formed in this step is not the one that they were in: its founder left them.
+    """
     robots, tick, following = lane.robots, lane.count[0].tick, lane.places[place].first
-    at_node, first = place < world.nodes.shape[0], robots[np.uint32(following)]
+    first = robots[np.uint32(following)]
     team = lane.teams[first.team]
     missing = team.size
     if team.formed == tick:
         return False
     while following >= 0:
         robot = robots[np.uint32(following)]
-        if robot.team != first.team or robot.entered != tick:
-            return False
-        if (robot.came != first.came) if at_node else (robot.passed != first.passed):
+        if robot.team != first.team or robot.entered != tick or robot.passed != first.passed:
             return False
         missing -= 1
         following = robot.after
@@ -840,7 +842,7 @@ def regroup(world, rules, learner, lane, place):
         stay_alone(world, rules, lane, r)
         plan(world, rules, learner, lane, r)
         return
-    if came_together(world, lane, place):
+    if came_together(lane, place):
         while first >= 0:
             r = np.uint32(first)
             first = lane.robots[r].after

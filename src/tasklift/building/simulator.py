@@ -590,7 +590,7 @@ _SEEN = np.dtype([(name, "i8") for name in (*(layout.ROBOT.names or ()), "progre
 
 def progress_mm(robots: NDArray[Any], tick: NDArray[np.int64] | int) -> NDArray[np.int64]:
     """Return how far robots have come along their corridors at a tick: the kernel keeps it only where it needs it."""
-    return robots["passed"] + robots["pace"] * (tick - robots["planned"])
+    return np.where(robots["half"] < 0, 0, robots["passed"] + robots["pace"] * (tick - robots["planned"]))
 
 
 def _frame(lane: layout.Lane) -> dict[str, Any]:

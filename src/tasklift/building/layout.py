@@ -23,7 +23,7 @@ MEMBER = _record(speed_mm="i8", armed="i8", kind="u4")
 OUTPUT = _record(way="i4", wpn="i4", ca="f8")  # way: kernel.STAYS, ...
 ROBOT = _record(  # 128 bytes
     decided="i8", planned="i8", arrives="i8", entered="i8",  # ticks; entered: it came to its place, or was lost
-    passed="i8", pace="i4",  # mm of its corridor that lay behind it at the tick `planned`, and mm per step
+    passed="i8", pace="i4",  # under way only: mm that lay behind it at the tick `planned`, mm per step
     node="u4", half="i4", next="i4", came="i4",  # the last node, and half-edges: under way, chosen, back; -1: none
     row="i4", seen="i4",  # at its last decision: its input of Table I, and its row of the mission's table
     pair_row="u4", out="u4", decisions="u4", choices="u4",

@@ -619,7 +619,7 @@ def _compiled(task: Task, reinforcement: Reinforcement, sweep: bool, learn: bool
     values = [root.output_values(int(index)) for index in task.output_map]
     outputs = _records(
         layout.OUTPUT,
-        way=[v["MV"] * (1 + v.get("BACK", 0)) for v in values],
+        way=[(kernel.GOES_BACK if v.get("BACK") else kernel.GOES) if v["MV"] else kernel.STAYS for v in values],
         wpn=[v["WPN"] for v in values],
         ca=[v["CA"] for v in values],
     )

@@ -65,7 +65,7 @@ def at_start(world, rules, lane, r, numbers):  # type: ignore[no-untyped-def]
     return 1 if lane.robots[r].node == rules.start else 0
 
 
-def dump(workload: str, file: Path, robots: int = 15) -> None:
+def dump(workload: str, file: Path, robots: int) -> None:
     """Write the compiled mission of a workload, so that the worker imports little."""
     import numpy as np
 
@@ -99,15 +99,20 @@ def watch(worker: list[str], folder: Path, environment: dict[str, str], *options
     return done.stdout, [line for line in ours if 0 <= line[0] < CODE]
 
 
+def prepare(workload: str, folder: Path, environment: dict[str, str], *code: str, robots: int = 15) -> list[str]:
+    """Write a workload and have it compiled, so that valgrind finds the kernel in Numba's cache; return its worker."""
+    dump(workload, folder / "workload", robots)
+    worker = [sys.executable, __file__, "--work", str(folder / "workload")]
+    subprocess.run([*worker, "1", *code], check=True, env=environment, capture_output=True)
+    return worker
+
+
 def count(workload: str) -> float:
     """Return the instructions per robot-step of a workload."""
     environment, found = os.environ | GENERIC, []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        dump(workload, folder / "workload")
-        worker = [sys.executable, __file__, "--work", str(folder / "workload")]
-        # compiles, so that valgrind finds the kernel in Numba's cache
-        subprocess.run([*worker, "1"], check=True, env=environment, capture_output=True)
+        worker = prepare(workload, folder, environment)
         with ThreadPoolExecutor(2) as both:
             seen = both.map(lambda episodes: watch([*worker, str(episodes)], folder, environment), (FEW, MANY))
             for printed, lines in seen:
@@ -121,9 +126,7 @@ def growth() -> None:
     for robots, episodes in FIRST_EPISODES.items():
         with tempfile.TemporaryDirectory() as name:
             folder, environment = Path(name), os.environ | GENERIC
-            dump(WORKLOADS[0], folder / "workload", robots)
-            worker = [sys.executable, __file__, "--work", str(folder / "workload")]
-            subprocess.run([*worker, "1"], check=True, env=environment, capture_output=True)
+            worker = prepare(WORKLOADS[0], folder, environment, robots=robots)
             printed, lines = watch([*worker, str(episodes)], folder, environment)
         number = sum(executed for _, executed, _ in lines) / int(printed.split()[0])
         print(f"{robots:,} robots, {WORKLOADS[0]}: {number:.1f} instructions per robot-step", flush=True)
@@ -134,9 +137,7 @@ def parts(workload: str) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         environment = os.environ | GENERIC | {"NUMBA_DEBUGINFO": "1", "NUMBA_CACHE_DIR": str(folder / "cache")}
-        dump(workload, folder / "workload")
-        worker = [sys.executable, __file__, "--work", str(folder / "workload")]
-        subprocess.run([*worker, "1", str(folder / "code.o")], check=True, env=environment, capture_output=True)
+        worker = prepare(workload, folder, environment, str(folder / "code.o"))
         printed, lines = watch([*worker, str(2 * FEW)], folder, environment, "--branch-sim=yes")
         steps, _, symbol = printed.split()
         owners = _owners(folder / "code.o", symbol)

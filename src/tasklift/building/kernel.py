@@ -175,7 +175,7 @@ def wake_teams(rules, lane):
         r = lane.roster[i]
         robots[r].due = teams[robots[r].team].due
         if robots[r].due == 1:
-            cancel(lane, r)
+            cancel(lane, r)  # an entry for later: it wakes now
             schedule(lane, r, count.tick, DECIDES)
     for i in range(count.alive):
         teams[robots[lane.roster[i]].team].due = 0
@@ -529,7 +529,7 @@ def arrive(world, rules, lane, r):
     if rarely((lane.sites[half.to].unsearched > 0) & (not others)):
         lane.rooms[count.rooms_open] = half.to
         count.rooms_open += 1
-    if others | (lane.teams[robot.team].size > 1):
+    if others | (lane.teams[robot.team].size > 1):  # read again: kept from `take_out`, it costs more instructions
         touch(lane, half.to)
     else:
         schedule(lane, r, count.tick + 1, DECIDES)
@@ -842,7 +842,7 @@ def regroup(world, rules, learner, lane, place):
         stay_alone(world, rules, lane, r)
         plan(world, rules, learner, lane, r)
         return
-    if came_together(lane, place):
+    if came_together(lane, place):  # they woke in this step and keep their pace: nothing to cancel or find anew
         while first >= 0:
             r = np.uint32(first)
             first = lane.robots[r].after
